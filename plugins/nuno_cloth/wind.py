@@ -32,7 +32,7 @@ from nuno_kernels.lanes import (
     write,
 )
 from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, list_copies
-from nuno_kernels.terms import register
+from nuno_kernels.terms import StepRoles, register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config
@@ -182,9 +182,9 @@ def add_particle_wind(wind: ParticleWind, block: int, origin: int, x: Float, v: 
             force[axis, vertex] += wind.force[axis]
 
 
-register(WindRuns, name="wind", block=add_wind_runs, reads_velocity=lambda wind: True)
-register(WindLists, name="wind", block=add_wind_lists, reads_velocity=lambda wind: True)
-register(ParticleWind, name="particle_wind", block=add_particle_wind)
+register(WindRuns, name="wind", reads_velocity=lambda wind: True, step=StepRoles(block=add_wind_runs))
+register(WindLists, name="wind", reads_velocity=lambda wind: True, step=StepRoles(block=add_wind_lists))
+register(ParticleWind, name="particle_wind", step=StepRoles(block=add_particle_wind))
 
 
 def prepare_wind(

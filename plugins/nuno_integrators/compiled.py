@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any, ClassVar, Literal
 
 import numba
@@ -181,7 +182,7 @@ class Compiled(ABC):
         packed = _set_poses(work.packed, poses)
         _restore(packed, work, memory)
         extra = _enter(system, state, work, state.t + steps * dt)
-        call_each(packed, "begin", work.x, steps * dt, packed.threads)
+        call_each(packed, "frame.begin", work.x, steps * dt, packed.threads)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
@@ -213,7 +214,7 @@ class Compiled(ABC):
 
             def go(taken: int, more: int) -> None:
                 extra = python_terms(system, before.t + taken * dt, before.t + (taken + more) * dt)
-                call_each(packed, "begin", work.x, more * dt, packed.threads)
+                call_each(packed, "frame.begin", work.x, more * dt, packed.threads)
                 self.go(work, packed, extra, more, dt)
 
             first, step = find_first(before, work.x, work.v, go, steps)
@@ -237,7 +238,7 @@ class Compiled(ABC):
     def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
         """Return pieces (k,) and places (k, 3) [m] of stuck vertices of each term; also within a step."""
         work: Work = memory.work  # type: ignore[assignment]
-        return call_each(work.packed, "pinched")
+        return call_each(work.packed, "report.pinched")
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Integrator."""
@@ -247,7 +248,7 @@ class Compiled(ABC):
         force = np.empty_like(work.x)
         evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
         force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
-        call_each(packed, "unbalance", work.x, force)
+        call_each(packed, "report.unbalance", work.x, force)
         return unbalance(system.fabric, state.x, state.v, force.T)
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
@@ -262,7 +263,7 @@ class Compiled(ABC):
         work: Work = memory.work  # type: ignore[assignment]
         packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
         # After a change, or from a checkpoint, contact has no lists before its next step.
-        call_each(_set_poses(packed, (poses[1], poses[1])), "begin", work.x, 0.0, packed.threads)
+        call_each(_set_poses(packed, (poses[1], poses[1])), "frame.begin", work.x, 0.0, packed.threads)
         free = self.free_forces(system, work, packed, extra)
         _set_poses(packed, poses)
         return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1], free)
@@ -305,7 +306,7 @@ def lacking(terms: Sequence[Term], role: str) -> list[str]:
             term.name
             for term in terms
             if callable(term.data)
-            or any(part.block is not None and part.find(role) is None for part in map(kernels_of, term.data))
+            or any(part.step.block is not None and part.find(role) is None for part in map(kernels_of, term.data))
         }
     )
 
@@ -326,7 +327,7 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     """Write the interval into contact and bindings; without poses there are no bodies."""
     if poses is None:
         return silence_bodies(packed)
-    call_each(packed, "interval", *poses)
+    call_each(packed, "frame.interval", *poses)
     return packed
 
 
@@ -338,8 +339,9 @@ def _state_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], 
         kernels = kernels_of(term)
         term_bounds = kernels.bounds(term) if kernels.bounds else {}
         for name in kernels.memory:
-            key = name if name not in arrays else f"{name}-{len(arrays)}"
-            arrays[key] = getattr(term, name)
+            key = name.rpartition(".")[2]
+            key = key if key not in arrays else f"{key}-{len(arrays)}"
+            arrays[key] = attrgetter(name)(term)
             if name in term_bounds or arrays[key].dtype.kind == "f":
                 bounds[key] = term_bounds.get(name, Bounds())
     return arrays | work.state_arrays(), bounds | work.bounds()
@@ -359,7 +361,7 @@ def _report(system: System, work: Work, packed: Packed, taken: StepResult, failu
         work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
     )
     counts = {"zero_length_springs": int(energy.zero_length)}
-    for term_counts in call_each(packed, "counts"):
+    for term_counts in call_each(packed, "report.counts"):
         counts |= {name: counts.get(name, 0) + number for name, number in term_counts.items()}
     status: Literal["ok", "diverged", "unconverged"] = (
         "diverged" if failure else "unconverged" if taken.problem else "ok"

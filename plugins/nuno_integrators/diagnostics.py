@@ -23,7 +23,7 @@ from nuno_schemas.system import Forces, System, Touched
 def undisturbed(packed: Packed) -> Packed:
     """Return a copy of the system without the adjustments that a solver's step makes to its terms: see Contact.rate."""
     packed = copy_terms(packed)
-    call_each(packed, "approach", np.inf)
+    call_each(packed, "frame.approach", np.inf)
     return packed
 
 
@@ -72,8 +72,8 @@ def find_touched(
     by: dict[str, Float] = {}
     for term, names in _with_bodies(system, packed):
         for number, name in enumerate(names):
-            alone = role_of(type(term), "alone")(term, number)
-            if kernels_of(term).unbalance is None:
+            alone = role_of(type(term), "report.alone")(term, number)
+            if kernels_of(term).report.unbalance is None:
                 by[name] = _force(_only(bare, term, alone), x, v, 1.0, None)
             else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
@@ -89,7 +89,7 @@ def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, .
         for kind in () if callable(term.data) or not term.bodies else map(type, term.data):
             key = next(key for key, one in own.items() if type(one) is kind)  # terms of a type keep their order
             found.append((own.pop(key), term.bodies))
-    return sorted(found, key=lambda one: kernels_of(one[0]).unbalance is not None)
+    return sorted(found, key=lambda one: kernels_of(one[0]).report.unbalance is not None)
 
 
 def _only(bare: Packed, term: Any, alone: Any) -> Packed:
@@ -114,14 +114,14 @@ def _force(packed: Packed, x: Float, v: Float, s: float, python: Extra) -> Float
 def _held(x: Float, total: Float, packed: Packed, poses: Poses) -> Float:
     """Return what surfaces and friction leave of forces (n, 3), as at rest; `total` itself without sliding."""
     acting = [term for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
-    holding = [term for term in acting if kernels_of(term).unbalance is not None]
+    holding = [term for term in acting if kernels_of(term).report.unbalance is not None]
     if not holding:
         return total
     held = np.array(total.T, order="C")
     for term in holding:
-        role_of(type(term), "interval")(term, poses, poses)
-        role_of(type(term), "begin")(term, x, 0.0, packed.threads)
-        role_of(type(term), "unbalance")(term, x, held)
+        role_of(type(term), "frame.interval")(term, poses, poses)
+        role_of(type(term), "frame.begin")(term, x, 0.0, packed.threads)
+        role_of(type(term), "report.unbalance")(term, x, held)
     return np.ascontiguousarray(held.T)
 
 
@@ -212,7 +212,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     place, speed = x.copy(), v.copy()
 
     def run(variant: Packed, force: Extra, steps: int) -> float:
-        call_each(variant, "begin", place, steps * BRIEF, variant.threads)
+        call_each(variant, "frame.begin", place, steps * BRIEF, variant.threads)
         began = time.perf_counter()
         loop(place, speed, stages, steps, BRIEF, variant, force)
         return (time.perf_counter() - began) / steps

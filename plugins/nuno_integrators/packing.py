@@ -58,11 +58,11 @@ def pack(system: System, copy: bool = True) -> Packed:
     )
     friction = pack_friction(fabric.friction, n)
     forces += (*pack_bending(fabric.bending, n), *friction, *_pack_yarns(fabric))
-    forces += tuple(part for part in packed_terms if kernels_of(part).block is not None)
+    forces += tuple(part for part in packed_terms if kernels_of(part).step.block is not None)
     bodies = (*_pack_carried(system), *friction, *(part for part in packed_terms if _has_steps(kernels_of(part))))
     threads = thread_count(system)
     python = any(term.in_python for term in system.terms)
-    adds = any(kernels_of(part).after is not None for part in bodies)
+    adds = any(kernels_of(part).step.after is not None for part in bodies)
     moved = any(_disturbs(kernels_of(part)) for part in bodies)
     packed = Packed(
         inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
@@ -93,7 +93,7 @@ def hold_over(packed: Packed) -> Packed:
     """Return the system, whose softest forces are held over several steps."""
     terms = {id(term): term for term in (*packed.forces, *packed.bodies)}
     for key, term in terms.items():
-        hold = role_of(type(term), "hold_over")
+        hold = role_of(type(term), "frame.hold_over")
         terms[key] = term if hold is None else hold(term, packed.inverse_mass)
     forces, bodies = (tuple(terms[id(term)] for term in part) for part in (packed.forces, packed.bodies))
     return packed._replace(forces=forces, bodies=bodies)
@@ -107,7 +107,7 @@ def making_lists(packed: Packed) -> tuple[str, ...]:
 
 def parts(packed: Packed) -> tuple[str, ...]:
     """Return the names of the parts of a step's forces."""
-    felt = [term for term in packed.bodies if kernels_of(term).after is not None]
+    felt = [term for term in packed.bodies if kernels_of(term).step.after is not None]
     return tuple(dict.fromkeys(kernels_of(term).name for term in (*packed.forces, *felt)))
 
 
@@ -129,7 +129,9 @@ def silence_bodies(packed: Packed) -> Packed:
     """Return the system, of the same types, in which no body carries, meets or holds vertices. Cloth contact, which
     adds to forces, acts without bodies too: its own stay in place.
     """
-    alone = [kernels_of(term).interval is None or kernels_of(term).block is not None for term in packed.bodies]
+    alone = [
+        kernels_of(term).frame.interval is None or kernels_of(term).step.block is not None for term in packed.bodies
+    ]
     return packed._replace(bodies_on=packed.bodies_on & np.array(alone, np.bool_))
 
 
@@ -142,12 +144,12 @@ def reads_velocity(packed: Packed) -> bool:
 
 def _has_steps(kernels: Kernels) -> bool:
     """Whether terms have a part in steps besides a force by blocks."""
-    return kernels.block is None or kernels.hold is not None
+    return kernels.step.block is None or kernels.step.hold is not None
 
 
 def _disturbs(kernels: Kernels) -> bool:
     """Whether such terms change forces after a step: a force that only remembers how far it has slipped does not."""
-    return kernels.hold is not None or (kernels.settle is not None and kernels.block is None)
+    return kernels.step.hold is not None or (kernels.step.settle is not None and kernels.step.block is None)
 
 
 def _pack_carried(system: System) -> tuple[Any, ...]:
@@ -170,11 +172,16 @@ def _pack_yarns(fabric: Fabric) -> tuple[Any, ...]:
 
 
 def copy_term(data: Any) -> Any:
-    """Copy a term's tuple with its arrays: anchors and scratch belong to one solver's memory. Read-only arrays are
-    shared.
+    """Copy a term's tuple with its arrays, also of nested tuples: anchors and scratch belong to one solver's memory.
+    Read-only arrays are shared.
     """
-    return type(data)(*(value.copy() if isinstance(value, np.ndarray) and value.flags.writeable else value
-                        for value in data))  # fmt: skip
+
+    def copied(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value.copy() if value.flags.writeable else value
+        return copy_term(value) if hasattr(value, "_fields") else value
+
+    return type(data)(*map(copied, data))
 
 
 def python_terms(system: System, start: float, end: float) -> Extra:

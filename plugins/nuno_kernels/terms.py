@@ -11,8 +11,9 @@ all that surrounds it; recursion over the tuple, whose every level is optimised 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from operator import attrgetter
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ from nuno_kernels.compile.calling_convention import by_address
 from nuno_kernels.compile.reference import by_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.layout import Bounds
 
 
 class Measured(NamedTuple):
@@ -52,60 +54,128 @@ class Displaced(NamedTuple):
 
 
 @dataclass(frozen=True)
+class StepRoles:
+    """Compiled functions that every method's steps call.
+
+    x, v (3, n) are positions and velocities, s the fraction of the frame, `threads` None or how many.
+    """
+
+    block: Any = None
+    """block(term, block, origin, x, v, force) adds newtons to the block's force (3, w), column 0 vertex `origin`"""
+    after: Any = None
+    """after(term, x, v, s, a, threads) adds newtons to a (3, n) once all blocks are done"""
+    place: Any = None
+    """place(term, x, v, s) puts vertices where they are carried to, before forces are found"""
+    look: Any = None
+    """look(term, x, v) notes what its blocks need to know of all vertices"""
+    settle: Any = None
+    """settle(term, x, v, s, threads) remembers what a whole step has led to"""
+    hold: Any = None
+    """hold(term, x, v, s, threads) moves vertices after a step"""
+    slow: Any = None
+    """slow(term, x, v, threads) holds velocities off what `hold` found"""
+
+
+@dataclass(frozen=True)
+class FrameRoles:
+    """Functions that prepare a term for the steps that follow. Python calls them."""
+
+    interval: Any = None
+    """interval(term, start, end) writes the bodies' poses over a frame into the term"""
+    begin: Any = None
+    """begin(term, x, span, threads) is called before an interval's first step; it lasts `span` [s]"""
+    approach: Any = None
+    """approach(term, rate) sets most of a depth that may be gone through in a second [1/s]"""
+    hold_over: Any = None
+    """hold_over(term, inverse_mass) -> term, the same whose force is held over several steps"""
+    stick: Any = None
+    """stick(term, x) lets nothing slip on a short way from x (3, n)"""
+
+
+@dataclass(frozen=True)
+class MatrixRoles:
+    """The term's matrix in implicit steps (nuno_integrators.implicit.matrix). Compiled, but for `rows`, `elements` and
+    `assemble`, which Python calls.
+    """
+
+    rows: Any = None
+    """rows(term) -> tuple, room for the matrix: see nuno_kernels.forces.linear"""
+    elements: Any = None
+    """elements(rows) -> columns, vertices: (p,) columns of the elements' rows, each once, and (corners, p)"""
+    fill: Any = None
+    """fill(term, rows, block, x, before, rate, floor, follow) writes the rows of the term's matrix"""
+    diagonal: Any = None
+    """diagonal(term, rows, block, origin, out) adds the matrix' diagonal blocks to (6, w)"""
+    multiply: Any = None
+    """multiply(term, rows, block, origin, u, out) adds the matrix' product with u (3, n) to out (3, w)"""
+    assemble: Any = None
+    """assemble(rows, places, diagonal, values) adds the matrix to a factor; see nuno_kernels.forces.linear. One without
+    stays out of factors: what it couples changes"""
+
+
+@dataclass(frozen=True)
+class NewtonRoles:
+    """What Newton's method asks of a term (nuno_integrators.implicit.newton). Python calls them."""
+
+    bound: Any = None
+    """bound(term, x, d, s, threads) -> bool: shortens, in place, a way d (3, n) from x towards fraction s; whether it
+    did"""
+    waits: Any = None
+    """waits(term) -> bool: whether what `bound` moves along has not come to its end"""
+    cut: Any = None
+    """cut(term, held) counts vertices (n,) that a step leaves where `bound` holds them"""
+    foresee: Any = None
+    """foresee(term, x, d, out) -> bool: adds to out (3, n) what forces that begin on a way d (3, n) from x bring to a
+    linear step's right side; whether they are others than before"""
+    grip: Any = None
+    """grip(term) -> Grip: what implicit steps hold on its bodies, see nuno_contact.sliding.grip"""
+    stiffest: Any = None
+    """stiffest(term) -> float, the largest stiffness [N/m]"""
+    tension: Any = None
+    """tension(term, x) -> float, the largest single force [N]"""
+    turning: Any = None
+    """turning(term, before, x, d) -> float, see nuno_kernels.forces.springs.turning"""
+
+
+@dataclass(frozen=True)
+class XpbdRoles:
+    """What xpbd solves for in the place of a force. Compiled, but for `constraints`, which Python calls."""
+
+    constraints: Any = None
+    """constraints(term, vertices) -> tuple of constraints, see nuno_kernels.forces.constraints"""
+    carry: Any = None
+    """carry(term, moved, s) puts displacements of carried vertices into `Displaced`"""
+    project: Any = None
+    """project(term, moved, s, held, threads) solves for what cloth meets, bodies or cloth; see
+    nuno_contact.penalty.projection, nuno_contact.offset.projection"""
+    sweep: Any = None
+    """sweep(batches, batch, moved) of batches of constraints: solves one batch, in place in the displacements"""
+    forget: Any = None
+    """forget(batches) of batches of constraints: begins a step without forces"""
+
+
+@dataclass(frozen=True)
+class ReportRoles:
+    """What reports and views ask of a term between frames. Python calls them."""
+
+    energy: Any = None
+    """energy(term, x) -> float or Measured, energy [J]"""
+    counts: Any = None
+    """counts(term) -> mapping, counts for a step's report"""
+    pinched: Any = None
+    """pinched(term) -> pieces, places: which piece each vertex is of that cannot go on, and where (k, 3) [m]"""
+    alone: Any = None
+    """alone(term, body) -> term, the same in which only one of its bodies acts, by number"""
+    unbalance: Any = None
+    """unbalance(term, x, force) holds forces (3, n) off bodies, in place"""
+
+
+@dataclass(frozen=True)
 class Kernels:
-    """The compiled functions of one type of term; what a type has no use for is None.
+    """The functions of one type of term, by who calls them; a type sets only those that it has.
 
-    Compiled: x, v (3, n) positions and velocities, s the fraction of the frame, `threads` None or how many.
-
-    block(term, block, origin, x, v, force)        adds newtons to the block's force (3, w), column 0 vertex `origin`
-    after(term, x, v, s, a, threads)               adds newtons to a (3, n) once all blocks are done
-    place(term, x, v, s)                           puts vertices where they are carried to, before forces are found
-    look(term, x, v)                               notes what its blocks need to know of all vertices
-    settle(term, x, v, s, threads)                 remembers what a whole step has led to
-    hold(term, x, v, s, threads)                   moves vertices after a step
-    slow(term, x, v, threads)                      holds velocities off what `hold` found
-    fill(term, rows, block, x, before, rate, floor, follow)   writes the rows of the term's matrix; see
-                                                   nuno_integrators.implicit.matrix
-    diagonal(term, rows, block, origin, out)       adds the matrix' diagonal blocks to (6, w)
-    multiply(term, rows, block, origin, u, out)    adds the matrix' product with u (3, n) to out (3, w)
-    assemble(rows, places, diagonal, values)       adds the matrix to a factor; see nuno_kernels.forces.linear. One
-                                                   without stays out of factors: what it couples changes
-
-    carry(term, moved, s)                          of xpbd: puts displacements of carried vertices into `Displaced`
-    project(term, moved, s, held, threads)         of xpbd: solves for what cloth meets, bodies or cloth; see
-                                                   nuno_contact.penalty.projection, nuno_contact.offset.projection
-    sweep(batches, batch, moved)                   of batches of constraints: solves those of one batch, in place in the
-                                                   displacements; see nuno_kernels.forces.constraints
-    forget(batches)                                of batches of constraints: begins a step without forces
-
-    Called from Python:
-
-    energy(term, x) -> float or Measured           energy [J]
-    tension(term, x) -> float                      the largest single force [N]
-    stiffest(term) -> float                        the largest stiffness [N/m]
-    turning(term, before, x, d) -> float           see nuno_kernels.forces.springs.turning
-    rows(term) -> tuple                            room for the matrix: see nuno_kernels.forces.linear
-    elements(rows) -> columns, vertices            (p,) columns of the elements' rows, each once, and (corners, p)
-    constraints(term, vertices) -> tuple           what xpbd solves for in the place of the force; see
-                                                   nuno_kernels.forces.constraints
-    stick(term, x)                                 lets nothing slip on a short way from x (3, n)
-    hold_over(term, inverse_mass) -> term          the same whose force is held over several steps
-    interval(term, start, end)                     writes the bodies' poses over a frame into the term
-    begin(term, x, span, threads)                  before an interval's first step; it lasts `span` [s]
-    approach(term, rate)                           most of a depth that may be gone through in a second [1/s]
-    bound(term, x, d, s, threads) -> bool          shortens a way d (3, n) that Newton's method is to go from x towards
-                                                   fraction s, in place; whether it did
-    waits(term) -> bool                            whether what `bound` moves along has not come to its end
-    cut(term, held)                                counts vertices (n,) that a step leaves where `bound` holds them
-    foresee(term, x, d, out) -> bool               adds to out (3, n) what forces that begin on a way d (3, n) from x
-                                                   bring to a linear step's right side; whether they are others than
-                                                   before
-    unbalance(term, x, force)                      holds forces (3, n) off bodies, in place
-    grip(term) -> Grip                             what implicit steps hold on its bodies: see nuno_contact.sliding.grip
-    alone(term, body) -> term                      the same in which only one of its bodies acts, by number
-    counts(term) -> mapping                        counts for a step's report
-    pinched(term) -> pieces, places                which piece each vertex is of that cannot go on, and where (k, 3) [m]
-    bounds(term) -> mapping                        `Bounds` of fields that are part of the state; see Memory.bounds
+    A role is named by its part, as "step.block". One may be given as text "module:function", which is loaded when a
+    solver first needs it.
     """
 
     name: str
@@ -113,65 +183,39 @@ class Kernels:
     lags: bool = True
     """whether a method that has no constraint for it may take it as at the step's start"""
     memory: tuple[str, ...] = ()
-    """fields that are part of the state"""
+    """fields that are part of the state, such as "last", or "plan.spread" of a nested tuple: checkpoints have them by
+    their last name"""
+    bounds: Callable[[Any], Mapping[str, Bounds]] | None = None
+    """`Bounds` of fields that are part of the state; see Memory.bounds"""
     lists: bool = False
     """whether it makes lists now and then, as far as vertices move: only real steps show its cost"""
     reads_velocity: Callable[[Any], bool] = lambda term: False
     vertices: Callable[[Any], int] = lambda term: 0
     """number of vertices that a term examines, if bodies' vertices are among them"""
-    block: Any = None
-    after: Any = None
-    place: Any = None
-    look: Any = None
-    settle: Any = None
-    hold: Any = None
-    slow: Any = None
-    carry: Any = None
-    project: Any = None
-    sweep: Any = None
-    forget: Any = None
-    fill: Any = None
-    diagonal: Any = None
-    multiply: Any = None
-    assemble: Any = None
-    energy: Any = None
-    tension: Any = None
-    stiffest: Any = None
-    turning: Any = None
-    rows: Any = None
-    elements: Any = None
-    constraints: Any = None
-    begin: Any = None
-    interval: Any = None
-    approach: Any = None
-    bound: Any = None
-    waits: Any = None
-    cut: Any = None
-    foresee: Any = None
-    unbalance: Any = None
-    grip: Any = None
-    alone: Any = None
-    counts: Any = None
-    pinched: Any = None
-    bounds: Any = None
-    stick: Any = None
-    hold_over: Any = None
+    step: StepRoles = StepRoles()
+    frame: FrameRoles = FrameRoles()
+    matrix: MatrixRoles = MatrixRoles()
+    newton: NewtonRoles = NewtonRoles()
+    xpbd: XpbdRoles = XpbdRoles()
+    report: ReportRoles = ReportRoles()
 
     def find(self, role: str) -> Any:
-        """Return the function of a role, None for none."""
-        kernel = getattr(self, role)
-        return resolve_name(kernel) if isinstance(kernel, str) else kernel
+        """Return the function of a role such as "step.block", None for none."""
+        function = attrgetter(role)(self)
+        return resolve_name(function) if isinstance(function, str) else function
 
     def all(self) -> list[Any]:
         """Return the functions of all roles."""
-        roles = [one.name for one in fields(self) if one.name not in ("name", "lags", "memory", "lists")]
-        return [kernel for role in roles if (kernel := self.find(role)) is not None]
+        parts = {one.name: getattr(self, one.name) for one in fields(self)}
+        roles = [f"{name}.{one.name}" for name, part in parts.items() if is_dataclass(part) for one in fields(part)]
+        found = [self.bounds, self.reads_velocity, self.vertices, *map(self.find, roles)]
+        return [function for function in found if function is not None]
 
 
 def register(kind: type, **roles: Any) -> None:
     """Register the kernels of a type of term, a NamedTuple of arrays and numbers, which is passed by reference.
 
-    Fields of Kernels by name. A role may be given as "module:function", which is loaded when a solver first needs it.
+    `roles` are the fields of Kernels.
     """
     by_reference(kind)
     kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
@@ -190,7 +234,7 @@ def kernels_of(term: Any) -> Kernels:
 
 
 def role_of(kind: type, role: str) -> Any:
-    """Return the function of a role for terms of a type, None for none."""
+    """Return the function of a role of Kernels for terms of a type, None for none."""
     kernels: Kernels = kind.kernels  # type: ignore[attr-defined]
     return kernels.find(role)
 
@@ -206,7 +250,8 @@ def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
 
 
 def each(role: str, parameters: str, linear: bool = False) -> Any:
-    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of this role, in order.
+    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of a role such as
+    "step.block", in order.
 
     `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
     """

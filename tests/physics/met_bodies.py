@@ -81,4 +81,4 @@ class Met(Pile):
     @property
     def behind(self) -> int:
         """Vertices of bodies that are behind them."""
-        return int(self.meeting.behind.sum())
+        return int(self.meeting.bodies.behind.sum())

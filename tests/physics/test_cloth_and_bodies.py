@@ -51,7 +51,7 @@ def test_a_coarse_sheet_lies_on_a_body_without_an_edge_through_it(shape: Shape) 
     """Edges of 14 mm over a ball whose edges are 6 mm, and over the corners of a cube; without, edges pass through."""
     met = Met(above(0.04), shapes=[shape])
     run(met, 20, 100)
-    assert met.meeting.number[TOUCHING] > 5
+    assert met.meeting.counts[TOUCHING] > 5
     x = met.state.x
     assert x[:, 1].min() < 0.01 and np.linalg.norm(x.mean(axis=0)) < 0.05
 
@@ -131,7 +131,7 @@ def test_taut_cloth_comes_to_rest_on_a_body(shape: Shape, solver: str) -> None:
     met.system = replace(met.system, damping=20.0)
     met.memory = met.solver.prepare(met.solver.Config(), met.system, met.state)
     run(met, 16, 100)
-    assert met.meeting.number[TOUCHING] > 5
+    assert met.meeting.counts[TOUCHING] > 5
     assert np.linalg.norm(met.state.v, axis=1).max() < 0.4
 
 
@@ -144,7 +144,7 @@ def test_a_free_sheet_lands_on_a_body_in_steps_of_a_frame(shape: Shape, side: in
         met.go(1)
         assert not met.crossed
         newton += met.memory.work.stage.counts.newton  # type: ignore[attr-defined]
-    assert met.meeting.number[TOUCHING] > 10
+    assert met.meeting.counts[TOUCHING] > 10
     assert newton < 1000
 
 
@@ -238,7 +238,7 @@ def test_one_thread_and_several_and_a_resumed_run_have_the_same_bits() -> None:
         for _ in range(4):
             met.go(40)
         ends.append(met.state.x.tobytes() + met.state.v.tobytes())
-    assert met.meeting.number[TOUCHING] > 0
+    assert met.meeting.counts[TOUCHING] > 0
     cut, on = begun(), begun()
     for _ in range(2):
         cut.go(40)
@@ -284,15 +284,17 @@ def approach(share: float, held: int) -> tuple[Any, Float]:
     share of its last corner, whose first `held` corners are held; and the velocities (3, n).
     """
     (term,) = pile(sheet(3, 0.1), sheet(3, 0.1, at=np.array([0.0, 0.2, 0.0])), thickness=H).terms[-1].data
-    m = term._replace(**{name: getattr(term, name).copy() for name in ("mass", "last", "pair", "of", "reach")})
-    i, j, k = m.faces[-1]
+    m = packing.copy_term(term)
+    i, j, k = m.tree.faces[-1]
     weights = 0.5 * (1.0 - share), 0.5 * (1.0 - share), share
-    under = sum(w * m.start[:, v] for w, v in zip(weights, (i, j, k), strict=True))
-    m.last[:] = m.start
+    under = sum(w * m.surface.start[:, v] for w, v in zip(weights, (i, j, k), strict=True))
+    m.last[:] = m.surface.start
     m.last[:, 0] = under + np.array([0.0, 0.5 * H, 0.0])
-    m.mass[[0, *(i, j, k)[:held]]] = 0.0
-    m.pair[0], m.of[0], m.reach[0], m.normal[0], m.close[0] = (0, i, j, k), len(m.faces) - 1, H, (0, 1, 0), 0
-    m.number[[LISTED, NEAR, CLOSE]] = 1
+    m.surface.mass[[0, *(i, j, k)[:held]]] = 0.0
+    pairs = m.pairs
+    pairs.vertices[0], pairs.face[0], pairs.close[0] = (0, i, j, k), len(m.tree.faces) - 1, 0
+    pairs.reach[0], pairs.normal[0] = H, (0, 1, 0)
+    m.counts[[LISTED, NEAR, CLOSE]] = 1
     v = np.zeros((3, m.last.shape[1]))
     v[1, 0] = -SPEED
     return m, v
@@ -304,7 +306,7 @@ def test_no_vertex_beside_what_is_held_is_thrown_by_a_lever(share: float) -> Non
     """It would have to go at SPEED / share for the point to give way, ten thousand times as fast as what pushes it."""
     m, v = approach(share, 2)
     apply_impulses(m, v, DT, SWEEPS[1], None)
-    moved = np.linalg.norm(v[:, m.faces[-1, 2]])
+    moved = np.linalg.norm(v[:, m.tree.faces[-1, 2]])
     assert 0.0 < moved < 8.0 * SPEED
     if share >= 0.5:
         assert share * moved * DT == pytest.approx(SPEED * DT - 0.25 * H, rel=1e-9)
@@ -317,7 +319,7 @@ def test_a_triangle_that_is_free_gives_way_as_far_as_it_must(share: float) -> No
     m, v = approach(share, 0)
     apply_impulses(m, v, DT, SWEEPS[1], None)
     weights = np.array([0.5 * (1.0 - share), 0.5 * (1.0 - share), share])
-    gap = 0.5 * H + DT * (v[1, 0] - weights @ v[1, m.faces[-1]])
+    gap = 0.5 * H + DT * (v[1, 0] - weights @ v[1, m.tree.faces[-1]])
     assert gap == pytest.approx(0.25 * H, rel=1e-9)
 
 
@@ -335,16 +337,16 @@ def test_what_is_pinched_is_named() -> None:
 def test_bodies_that_pass_through_each_other_are_named_where_nothing_moves() -> None:
     """The two sheets taken for bodies, the second turned upright through the first."""
     m, _ = approach(0.5, 2)
-    m = m._replace(body_law=np.zeros((2, 2)))
-    second = m.piece == 1
-    m.last[:] = m.start
-    m.last[:, second] = m.start[:, second][[0, 2, 1]] - np.array([[0.0], [0.02], [0.18]])
-    boxes = m.boxes.copy()
+    m = m._replace(bodies=m.bodies._replace(law=np.zeros((2, 2))))
+    second = m.surface.piece == 1
+    m.last[:] = m.surface.start
+    m.last[:, second] = m.surface.start[:, second][[0, 2, 1]] - np.array([[0.0], [0.02], [0.18]])
+    boxes = m.tree.boxes.copy()
     m.share[:] = 0.0
     pieces, places = find_pinched(m)
     assert set(pieces.tolist()) == {0, 1}
     assert np.abs(np.median(places, axis=0) - [0.0, 0.0, 0.02]).max() < 0.06
-    assert np.array_equal(boxes, m.boxes, equal_nan=True), "a step that goes on meanwhile has its own"
+    assert np.array_equal(boxes, m.tree.boxes, equal_nan=True), "a step that goes on meanwhile has its own"
 
 
 @pytest.mark.full
@@ -373,4 +375,4 @@ def test_a_waist_that_a_walking_body_comes_through_throws_nothing_about(tmp_path
     assert np.linalg.norm(simulation.state.v, axis=1).max() < 50.0
     assert re.fullmatch(r"\d+ vertices of walker pinched near \(.*\) m: .*", simulation.holds())
     m: Any = simulation.memory.work.packed.bodies[-1]  # type: ignore[attr-defined]
-    assert not Oracle(m.start.T, m.faces).crossed(np.ascontiguousarray(m.last.T))
+    assert not Oracle(m.surface.start.T, m.tree.faces).crossed(np.ascontiguousarray(m.last.T))

@@ -46,11 +46,11 @@ def test_a_run_takes_no_more_memory_the_longer_it_is(solver: str) -> None:
     _nrt_python.memsys_enable_stats()
     pile = heap(solver, 1)
     pile.go(10)
-    before, lists, most = held(), int(pile.meeting.number[LISTS_MADE]), 0
+    before, lists, most = held(), int(pile.meeting.counts[LISTS_MADE]), 0
     for _ in range(10):
         pile.go(20)
-        most = max(most, int(pile.meeting.number[TOUCHING]))
-    assert pile.meeting.number[LISTS_MADE] > lists
+        most = max(most, int(pile.meeting.counts[TOUCHING]))
+    assert pile.meeting.counts[LISTS_MADE] > lists
     assert most > 20
     assert held() == before
 
@@ -62,9 +62,9 @@ def test_a_wider_list_has_the_pairs_of_a_narrower_in_the_same_order() -> None:
     pile.go(1)
     m, keys = pile.meeting, []
     for share in (0.5, 2.0, 5.0):
-        m.spread[0] = share * m.law[0]
+        m.plan.spread[0] = share * m.surface.law[0]
         make_list(m, None)
-        keys.append(m.key[: m.number[LISTED]].tolist())
+        keys.append(m.pairs.key[: m.counts[LISTED]].tolist())
     for narrow, wide in pairwise(keys):
         assert len(narrow) < len(wide)
         known = set(narrow)
@@ -110,7 +110,7 @@ def test_amid_many_contacts_no_vertex_is_thrown_to_and_fro() -> None:
     pile.go(4000)
     before = pile.state.v.copy()
     pile.go(1)
-    assert pile.meeting.number[TOUCHING] > 4 * pile.fabric.number
+    assert pile.meeting.counts[TOUCHING] > 4 * pile.fabric.number
     assert np.abs(pile.state.v - before).max() < np.abs(before).max()
 
 
@@ -161,7 +161,7 @@ def test_an_undamped_bounce_gains_no_energy() -> None:
     begun = sum(pile.go(0).energy.values())
     energy = [sum(pile.go(20).energy.values()) for _ in range(30)]
     assert max(energy) < 1.05 * begun
-    assert pile.meeting.number[TOUCHING] == 0
+    assert pile.meeting.counts[TOUCHING] == 0
     assert 0.95 * begun < energy[-1] <= begun
     damped = collision(1.0)
     assert sum([damped.go(20) for _ in range(30)][-1].energy.values()) < 0.9 * begun
@@ -218,7 +218,7 @@ def gaps(layers: int, dt: float, iterations: int = 1) -> tuple[Float, Float]:
     assert pile.meeting.so_far[CUT] == 0
     found = np.diff(pile.state.x[:, 1].reshape(-1, 3).mean(axis=1))
     load = 1e-4 * 9.81 * np.arange(layers, 0, -1)
-    return found, THICKNESS - load / (0.5 * pile.meeting.stiffness[-1])
+    return found, THICKNESS - load / (0.5 * pile.meeting.surface.stiffness[-1])
 
 
 @pytest.mark.parametrize("dt", [1.0 / 60.0, 1.0 / 480.0])
@@ -299,7 +299,7 @@ def test_momentum_is_kept_in_a_collision() -> None:
         size, most = np.abs(mass * pile.state.v).sum(), 0
         for _ in range(20):
             pile.go(round(1e-3 / dt))
-            most = max(most, int(pile.meeting.number[TOUCHING]))
+            most = max(most, int(pile.meeting.counts[TOUCHING]))
         assert most > 100
         assert np.abs(pile.momentum - before).max() < 1e-13 * size
         change = (mass * np.cross(pile.state.x, pile.state.v)).sum(axis=0) - moment
@@ -315,7 +315,7 @@ def test_xpbd_an_undamped_bounce_gains_no_energy() -> None:
         pile = Pile(*piles.collision(), solver="xpbd", gravity=np.zeros(3), friction=0.0, damping=0.0, dt=dt)
         begun = sum(pile.go(0).energy.values())
         energy = [sum(pile.go(round(2e-3 / dt)).energy.values()) for _ in range(15)]
-        assert pile.meeting.number[TOUCHING] == 0
+        assert pile.meeting.counts[TOUCHING] == 0
         assert max(energy) < 1.05 * begun
         left.append(energy[-1] / begun)
     assert left[0] < left[1] <= 1.0
@@ -329,7 +329,7 @@ def test_nothing_passes_through_in_long_steps() -> None:
     for _ in range(30):
         pile.go(4)
         assert not pile.crossed
-    assert pile.meeting.number[TOUCHING] > 20
+    assert pile.meeting.counts[TOUCHING] > 20
     assert pile.meeting.so_far[CUT] < 0.02 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
@@ -342,7 +342,7 @@ def test_the_same_bits_whatever_the_threads() -> None:
         pile = Pile(*pieces, solver="xpbd", dt=USUAL, threads=threads)
         pile.go(60)
         assert (pile.memory.work.tuning is None) == (threads == 1)  # type: ignore[attr-defined]
-        assert pile.meeting.number[TOUCHING] > 1000
+        assert pile.meeting.counts[TOUCHING] > 1000
         ends.append(pile.state.x.tobytes() + pile.state.v.tobytes())
     assert ends[0] == ends[1]
 
@@ -356,7 +356,7 @@ def test_nothing_passes_through_in_steps_of_a_frame() -> None:
     for _ in range(10):
         pile.go(1)
         assert not pile.crossed
-    assert pile.meeting.number[TOUCHING] > 20
+    assert pile.meeting.counts[TOUCHING] > 20
     assert pile.meeting.so_far[CUT] <= 1e-3 * pile.meeting.so_far[STEPS] * pile.fabric.number
 
 
@@ -465,7 +465,7 @@ def test_a_fold_of_uneven_triangles_rests_on_itself() -> None:
     for _ in range(40):
         pile.go(1)
         assert not pile.crossed
-    assert pile.meeting.number[TOUCHING] > 50
+    assert pile.meeting.counts[TOUCHING] > 50
     assert pile.meeting.so_far[CUT] == 0
     assert np.abs(pile.state.v).max() < 1e-2
 
@@ -487,5 +487,5 @@ def test_a_run_goes_on_from_a_checkpoint_in_the_same_bits(solver: str, seed: int
         on.memory.arrays[name] = values.copy()
     for _ in range(5):
         on.go(steps)
-    assert cut.meeting.anchored.any()
+    assert cut.meeting.friction.anchored.any()
     assert (on.state.x.tobytes(), on.state.v.tobytes()) == (whole.state.x.tobytes(), whole.state.v.tobytes())

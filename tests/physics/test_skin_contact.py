@@ -66,7 +66,7 @@ def test_a_bar_that_bends_passes_through_no_cloth(solver: str) -> None:
     for _ in range(12):
         met.go(60)
         assert not met.crossed
-        late, most = late + (met.behind > 0), max(most, int(met.meeting.number[TOUCHING]))
+        late, most = late + (met.behind > 0), max(most, int(met.meeting.counts[TOUCHING]))
     assert late <= 1 and met.meeting.so_far[LEFT_OUT] == 0
     assert most > 10
     met.state.x[:, 1] = 0.015
@@ -80,7 +80,7 @@ def test_a_skin_whose_frames_move_as_one_rubs_as_a_rigid_body_does() -> None:
     for _ in range(8):
         one.go(100)
         other.go(100)
-    assert one.meeting.number[TOUCHING] > 5
+    assert one.meeting.counts[TOUCHING] > 5
     assert np.abs(one.state.x - other.state.x).max() < 1e-9
     assert one.state.v[:, 2].mean() > 0.05  # it is dragged along
 
@@ -90,7 +90,7 @@ def test_vertices_of_a_skin_go_straight_and_as_fast_as_is_said() -> None:
     met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)])
     ends = met.poses(0.004), met.poses(0.009)
     set_solid_poses(met.meeting, *ends)
-    n, x, v = met.fabric.number, met.meeting.goal, met.meeting.whole_velocity
+    n, x, v = met.fabric.number, met.meeting.whole.goal, met.meeting.whole.v
     places = [met.geometry.placed(0, poses)[0] for poses in ends]
     for s in (0.0, 0.3, 1.0):
         pose_solids(met.meeting, s)
@@ -111,8 +111,8 @@ def test_bodies_that_stand_are_placed_once_and_are_behind_where_they_were_moved(
         before[:] = m.last
         report = met.solver.advance(met.system, met.state, met.memory, (poses, poses), 1, met.dt)
         assert report.status == "ok"
-        assert m.still[0] == placed and m.behind.any() == (placed == STANDS)
-        assert np.abs(m.goal[:, n:].T - met.geometry.placed(0, poses)[0]).max() < 1e-15
+        assert m.bodies.still[0] == placed and m.bodies.behind.any() == (placed == STANDS)
+        assert np.abs(m.whole.goal[:, n:].T - met.geometry.placed(0, poses)[0]).max() < 1e-15
     way = np.linalg.norm(m.last - before, axis=0)[n:]
     assert 0.0 < way.max() <= CATCH_UP * met.dt * (1.0 + 1e-12)
 

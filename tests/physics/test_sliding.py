@@ -20,7 +20,7 @@ from nuno.scene.scene_file import read
 from nuno.simulation.body_forces import feel
 from nuno.simulation.run import Simulation
 from nuno_contact.sliding.grip import hold_forces
-from nuno_contact.sliding.plugin import Slid, Sliding, SlidingConfig, make_slides
+from nuno_contact.sliding.plugin import Sliding, SlidingBody, SlidingConfig, make_slides
 from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import FIELD, MESH, Poses
 from nuno_schemas.errors import BadInput
@@ -219,7 +219,7 @@ def test_threads_and_frames_change_no_bit() -> None:
 def test_each_of_several_bodies_keeps_a_tree_of_its_own() -> None:
     """A search goes up from where a vertex was nearest, and must not come to another body's root."""
     trees = [build_tree(*meshes.torus(9 * k, 7)) for k in (1, 4, 2)]
-    slides = make_slides([Slid(tree, 0, 0.0, GAP) for tree in trees], 1, np.ones(3))
+    slides = make_slides([SlidingBody(tree, 0, 0.0, GAP) for tree in trees], 1, np.ones(3))
     ends = [*slides.root[1:], len(slides.tree.child)]
     leaf = 0
     for tree, root, end in zip(trees, slides.root, ends, strict=True):

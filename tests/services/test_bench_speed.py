@@ -205,7 +205,7 @@ def test_a_query_finds_what_lies_on_each_other_and_that_nothing_crosses(monkeypa
         (meeting,) = system.terms[-1].data  # type: ignore[misc]
         assert isinstance(meeting, ContactState)
         contact.listing(meeting)()
-        both = meeting.piece[meeting.pair[: meeting.number[LISTED]]][:, [0, 3]]
+        both = meeting.surface.piece[meeting.pairs.vertices[: meeting.counts[LISTED]]][:, [0, 3]]
         shares.append(float((both[:, 0] != both[:, 1]).sum()) / system.fabric.number)
     assert shares[0] > 4.0
     assert shares[1] == pytest.approx(shares[0], rel=0.3)

@@ -99,7 +99,12 @@ class Loose(NamedTuple):
     stiffness: float
 
 
-register(Loose, name="loose", block=add_stitches, energy=energy_of)
+register(
+    Loose,
+    name="loose",
+    step=StepRoles(block=add_stitches),
+    report=ReportRoles(energy=energy_of),
+)
 
 
 class LooseStitches(Stitches):

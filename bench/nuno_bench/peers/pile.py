@@ -157,13 +157,13 @@ def own_answers(pile: Pile) -> Mapping[str, Question]:
     term = next(term for term in simulation.system.terms if term.name == "cloth_contact")
     assert isinstance(term.data, tuple)
     (meeting,) = term.data
-    begin, hold = (type(meeting).kernels.find(role) for role in ("begin", "hold"))
+    begin, hold = (type(meeting).kernels.find(role) for role in ("frame.begin", "step.hold"))
     mesh = mesh_of(pile.faces)
 
     def pairs(before: Float, after: Float) -> int:
-        meeting.reference[:] = np.nan
+        meeting.plan.reference[:] = np.nan
         begin(meeting, np.ascontiguousarray(before.T), 1.0 / RATE, cores())
-        return int(meeting.number[TOUCHING])
+        return int(meeting.counts[TOUCHING])
 
     def motion(before: Float, after: Float) -> bool:
         pairs(before, after)

@@ -155,7 +155,7 @@ def queries(repeats: int) -> list[Result]:
         triangles.append(len(fabric.faces))
         for ask in asked[-1].values():
             ask()
-        notes.append(f"{int(meeting.number[LISTED]):,} pairs in the list")
+        notes.append(f"{int(meeting.counts[LISTED]):,} pairs in the list")
     # Each repeat asks for every size, so that a slow machine slows all of them.
     samples = [[{name: 1e3 * seconds(ask) for name, ask in one.items()} for one in asked] for _ in range(repeats)]
     results = []
@@ -173,11 +173,11 @@ def queries(repeats: int) -> list[Result]:
 
 def listing(meeting: Any) -> Callable[[], None]:
     """Begins contact anew, which makes its list and finds what touches."""
-    begin = type(meeting).kernels.find("begin")
+    begin = type(meeting).kernels.find("frame.begin")
 
     def ask() -> None:
-        meeting.reference[:] = np.nan
-        begin(meeting, meeting.start, 1.0 / 60.0, None)
+        meeting.plan.reference[:] = np.nan
+        begin(meeting, meeting.surface.start, 1.0 / 60.0, None)
 
     return ask
 
@@ -207,7 +207,7 @@ class Parts:
             "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
-            "brakes": lambda: apply_impulses(m, v.copy(), dt, SWEEPS[1 if len(m.local) else 0], threads),
+            "brakes": lambda: apply_impulses(m, v.copy(), dt, SWEEPS[1 if len(m.bodies.local) else 0], threads),
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
@@ -231,7 +231,7 @@ class Parts:
     def _counted(self) -> tuple[int, int, int]:
         """Lists made so far, choices of what is near of them, and steps."""
         m = self._meeting
-        return int(m.number[LISTS_MADE]), int(m.number[CHOICES]), int(m.so_far[STEPS])
+        return int(m.counts[LISTS_MADE]), int(m.counts[CHOICES]), int(m.so_far[STEPS])
 
     @property
     def _packed(self) -> Any:

@@ -11,7 +11,8 @@ their vertices is behind, which is counted.
 A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see
 nuno_contact.offset.contact_state.size_of.
 
-Kernels of cloth contact see cloth of n vertices, or, where there are bodies, arrays of this module that hold n and b.
+Kernels of cloth contact see cloth of n vertices, or, where there are bodies, the arrays of
+nuno_contact.offset.contact_state.WholeMesh, which hold n and b.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ SAME = 1e-9
 
 
 MOVES, STANDS, PLACED = range(3)
-"""motion of bodies in an interval; of those that stand, whether m.goal has them and none of their vertices is behind"""
+"""motion of bodies in an interval; of those that stand, whether m.whole.goal has them and none of their vertices is
+behind"""
 OF_SKIN = -1
 """stands for the frame of a vertex that several frames carry"""
 
@@ -70,26 +72,27 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
 
 def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
     """Write the interval into the state of a contact with bodies."""
-    if not len(m.local):
+    if not len(m.bodies.local):
         return
-    write_interval(m, start, end)
-    m.still[0] = STANDS if start.same_place(end) else MOVES
-    if len(m.skin_joint):
-        mine, skin, moving = m.frame == OF_SKIN, Skin(m.skin_place, m.skin_joint, m.skin_weight), end.t > start.t
-        for poses, to in ((start, m.skin_begin), (end if moving else start, m.skin_end)):
-            to[mine] = skin.bend(m.local[mine], poses.rotation[m.skin_frame], poses.translation[m.skin_frame])
-        m.skin_pace[0] = 1.0 / (end.t - start.t) if moving else 0.0
+    write_interval(m.bodies, start, end)
+    m.bodies.still[0] = STANDS if start.same_place(end) else MOVES
+    if len(m.skin.joint):
+        mine, skin, moving = m.bodies.frame == OF_SKIN, Skin(m.skin.place, m.skin.joint, m.skin.weight), end.t > start.t
+        for poses, to in ((start, m.skin.begin), (end if moving else start, m.skin.end)):
+            to[mine] = skin.bend(m.bodies.local[mine], poses.rotation[m.skin.frame], poses.translation[m.skin.frame])
+        m.skin.rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
 @block_kernel
 def pose_solids(m: ContactState, s: float) -> None:
-    """Write the bodies' vertices at fraction s of the interval to m.goal and m.whole_velocity."""
-    if m.still[0] == PLACED:
+    """Write the bodies' vertices at fraction s of the interval to m.whole.goal and m.whole.v."""
+    bodies = m.bodies
+    if bodies.still[0] == PLACED:
         return
-    frames, local, of_frame, begin, end = m.frames, m.local, m.frame, m.skin_begin, m.skin_end
-    x, v = m.goal, m.whole_velocity
+    frames, local, of_frame, begin, end = bodies.frames, bodies.local, bodies.frame, m.skin.begin, m.skin.end
+    x, v = m.whole.goal, m.whole.v
     for f in range(frames.shape[0]):
-        pose_frame(s, f, m.rotation0, m.origin0, m.spin, m.shift, frames)
+        pose_frame(s, f, bodies.rotation0, bodies.origin0, bodies.spin, bodies.shift, frames)
     first = x.shape[1] - local.shape[0]
     for b in range(local.shape[0]):
         if of_frame[b] >= 0:
@@ -97,7 +100,7 @@ def pose_solids(m: ContactState, s: float) -> None:
             continue
         for row in range(3):
             x[row, first + b] = (1.0 - s) * begin[b, row] + s * end[b, row]
-            v[row, first + b] = m.skin_pace[0] * (end[b, row] - begin[b, row])
+            v[row, first + b] = m.skin.rate[0] * (end[b, row] - begin[b, row])
 
 
 @block_kernel
@@ -113,28 +116,28 @@ def place_solids(m: ContactState, x: Float, v: Float, s: float) -> None:
     """Place the bodies' vertices for forces at fraction s: on their bodies unless they are behind, and in an implicit
     step where the iterate has them.
     """
-    if m.local.shape[0] == 0 or m.still[0] == PLACED:
+    if m.bodies.local.shape[0] == 0 or m.bodies.still[0] == PLACED:
         return
-    n, whole, goal, last = x.shape[1], m.whole, m.goal, m.last
+    n, whole, goal, last = x.shape[1], m.whole.x, m.whole.goal, m.last
     pose_solids(m, s)
-    if m.step[0] > 0.0:
+    if m.implicit.step[0] > 0.0:
         return
-    for b in range(m.local.shape[0]):
+    for b in range(m.bodies.local.shape[0]):
         for row in range(3):
-            whole[row, n + b] = last[row, n + b] if m.behind[b] else goal[row, n + b]
+            whole[row, n + b] = last[row, n + b] if m.bodies.behind[b] else goal[row, n + b]
 
 
 def is_waiting(m: ContactState) -> bool:
-    """Whether an iterate has bodies' vertices that are not at m.goal."""
-    first = m.goal.shape[1] - len(m.local)
-    return bool(len(m.local)) and float(np.abs(m.goal[:, first:] - m.whole[:, first:]).max()) > SAME
+    """Whether an iterate has bodies' vertices that are not at m.whole.goal."""
+    first = m.whole.goal.shape[1] - len(m.bodies.local)
+    return bool(len(m.bodies.local)) and float(np.abs(m.whole.goal[:, first:] - m.whole.x[:, first:]).max()) > SAME
 
 
 @kernel
 def limit_ways(m: ContactState, n: int, dt: float) -> None:
-    """Limit the ways of bodies' vertices from `last` to m.goal in a step of dt [s] to their largest speed."""
-    goal, last, v = m.goal, m.last, m.whole_velocity
-    for i in range(n, goal.shape[1] if m.still[0] != PLACED else n):
+    """Limit the ways of bodies' vertices from `last` to m.whole.goal in a step of dt [s] to their largest speed."""
+    goal, last, v = m.whole.goal, m.last, m.whole.v
+    for i in range(n, goal.shape[1] if m.bodies.still[0] != PLACED else n):
         a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
         speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
         way, most = math.sqrt(a * a + b * b + c * c), dt * (speed + CATCH_UP)
@@ -146,9 +149,9 @@ def limit_ways(m: ContactState, n: int, dt: float) -> None:
 @kernel
 def catch_up(m: ContactState, n: int, dt: float) -> None:
     """Set the velocities at which vertices behind their bodies will follow in a step of dt [s]."""
-    goal, last, v = m.goal, m.last, m.whole_velocity
-    for b in range(m.local.shape[0]):
-        if not m.behind[b] or dt == 0.0:
+    goal, last, v = m.whole.goal, m.last, m.whole.v
+    for b in range(m.bodies.local.shape[0]):
+        if not m.bodies.behind[b] or dt == 0.0:
             continue
         i = n + b
         x, y, z = (
@@ -162,15 +165,15 @@ def catch_up(m: ContactState, n: int, dt: float) -> None:
 
 @kernel
 def find_behind(m: ContactState, n: int) -> None:
-    """Find which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
-    goal, last, whole = m.goal, m.last, m.whole
+    """Find which of the bodies' vertices are behind m.whole.goal at `last`, from where forces are then found, too."""
+    goal, last, whole = m.whole.goal, m.last, m.whole.x
     late = False
-    for b in range(m.local.shape[0]):
+    for b in range(m.bodies.local.shape[0]):
         way = 0.0
         for row in range(3):
             way = max(way, abs(goal[row, n + b] - last[row, n + b]))
             whole[row, n + b] = last[row, n + b]
-        m.behind[b] = way > SAME
+        m.bodies.behind[b] = way > SAME
         late = late or way > SAME
-    if m.still[0] == STANDS and not late:
-        m.still[0] = PLACED
+    if m.bodies.still[0] == STANDS and not late:
+        m.bodies.still[0] = PLACED

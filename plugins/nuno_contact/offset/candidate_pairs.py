@@ -25,7 +25,6 @@ from nuno_contact.offset.contact_state import (
     PARTS,
     ContactState,
     close_up,
-    tree_of,
 )
 from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
 from nuno_contact.offset.tree import find_near, fit_tree, less, near_leaves
@@ -64,8 +63,9 @@ def share_of(m: ContactState, i: int, l: int, of_edges: bool) -> float:  # noqa:
     """Return the share of the stiffness of a pair of cloth and a body, by the first vertex of each primitive: a piece
     of cloth has as many of a fine body's vertices below it, and edges as many across it, as that is finer.
     """
-    first = m.size.shape[0] - m.local.shape[0]
-    cloth, body = (m.size[i], m.size[l]) if i < first else (m.size[l], m.size[i])
+    surface = m.surface
+    first = surface.size.shape[0] - m.bodies.local.shape[0]
+    cloth, body = (surface.size[i], surface.size[l]) if i < first else (surface.size[l], surface.size[i])
     finer: float = less(1.0, body / cloth)
     return finer if of_edges else 1.0 if i < first else finer * finer
 
@@ -73,9 +73,10 @@ def share_of(m: ContactState, i: int, l: int, of_edges: bool) -> float:  # noqa:
 @forced_inline
 def begun_apart(m: ContactState, p: int) -> float:
     """Return how far apart a listed pair starts [m]."""
-    s, i, j, k, l = m.start, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
+    pair, s = m.pairs.vertices, m.surface.start
+    i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
     begun = (point(s, i), point(s, j), point(s, k), point(s, l))
-    distance: float = unit(weigh(closest(m.of[p] < 0, begun).weights, begun))[1]
+    distance: float = unit(weigh(closest(m.pairs.face[p] < 0, begun).weights, begun))[1]
     return distance
 
 
@@ -85,20 +86,21 @@ def measure(m: ContactState, p: int) -> None:
 
     Cloth that starts nearer to itself than the thickness, as beside the tip of a dart, is as thin as that there.
     """
-    i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
+    pairs, surface = m.pairs, m.surface
+    i, j, k, l = pairs.vertices[p, 0], pairs.vertices[p, 1], pairs.vertices[p, 2], pairs.vertices[p, 3]  # noqa: E741
     least, mass = np.inf, np.inf
     for v in (i, j, k, l):
-        if m.mass[v] > 0.0:
-            least, mass = less(least, m.stiffness[v]), less(mass, m.mass[v])
-    stiffness = 0.0 if mass == np.inf else 0.5 * least * (EDGES if m.of[p] < 0 else 1.0)
-    mu, damping = m.law[1], m.law[2]
-    body = max(m.piece[i], m.piece[l]) - (m.meets.shape[0] - m.body_law.shape[0])
+        if surface.mass[v] > 0.0:
+            least, mass = less(least, surface.stiffness[v]), less(mass, surface.mass[v])
+    stiffness = 0.0 if mass == np.inf else 0.5 * least * (EDGES if pairs.face[p] < 0 else 1.0)
+    mu, damping = surface.law[1], surface.law[2]
+    body = max(surface.piece[i], surface.piece[l]) - (surface.meets.shape[0] - m.bodies.law.shape[0])
     if body >= 0:
-        mu, damping = m.body_law[body, 0], m.body_law[body, 1]
-        stiffness *= share_of(m, i, l, m.of[p] < 0)
-    m.reach[p] = less(m.law[0], begun_apart(m, p)) if m.piece[i] == m.piece[l] else m.law[0]
-    m.pair_stiffness[p], m.pair_friction[p] = stiffness, mu
-    m.pair_damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
+        mu, damping = m.bodies.law[body, 0], m.bodies.law[body, 1]
+        stiffness *= share_of(m, i, l, pairs.face[p] < 0)
+    pairs.reach[p] = less(surface.law[0], begun_apart(m, p)) if surface.piece[i] == surface.piece[l] else surface.law[0]
+    pairs.stiffness[p], pairs.friction[p] = stiffness, mu
+    pairs.damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
 
 
 @block_kernel
@@ -145,8 +147,8 @@ def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, 
 def vertices_of(m: ContactState, e: int, f: int) -> tuple[int, int, int, int]:
     """Return the vertices of a vertex e and a triangle f, or of edges -1 - e and f."""
     if e < 0:
-        return m.edges[-1 - e, 0], m.edges[-1 - e, 1], m.edges[f, 0], m.edges[f, 1]
-    return e, m.faces[f, 0], m.faces[f, 1], m.faces[f, 2]
+        return m.tree.edges[-1 - e, 0], m.tree.edges[-1 - e, 1], m.tree.edges[f, 0], m.tree.edges[f, 1]
+    return e, m.tree.faces[f, 0], m.tree.faces[f, 1], m.tree.faces[f, 2]
 
 
 @block_kernel
@@ -154,7 +156,8 @@ def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
     """Keep those of `count` primitives found (c, 2) that do not stay apart, in place and in order, with the planes
     (c, 3) across their closest points; return their number.
     """
-    ways, thickness = m.ways, m.law[0]
+    surface = m.surface
+    ways, thickness = m.plan.ways, surface.law[0]
     candidates, number = 0, 0
     # All are evaluated without a branch, since a wrong prediction takes longer.
     for c in range(count):
@@ -162,7 +165,7 @@ def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
         i, j, k, l = vertices_of(m, found[c, 0], found[c, 1])  # noqa: E741
         apart = apart_at_middles(of_edges, ways, i, j, k, l, thickness)
         found[candidates, 0], found[candidates, 1] = found[c, 0], found[c, 1]
-        candidates += 0 if apart or not m.meets[m.piece[i], m.piece[l]] else 1
+        candidates += 0 if apart or not surface.meets[surface.piece[i], surface.piece[l]] else 1
     for c in range(candidates):
         e, f = found[c, 0], found[c, 1]
         i, j, k, l = vertices_of(m, e, f)  # noqa: E741
@@ -185,7 +188,7 @@ def search_part(part: int, m: ContactState, leaves: Long, found: Long, normal: F
     """
     room, count = found.shape[0] // PARTS, leaves.shape[0]
     mine, across = found[part * room : (part + 1) * room], normal[part * room : (part + 1) * room]
-    met = find_near(tree_of(m), m.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
+    met = find_near(m.tree, m.surface.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
     number[part, 0] = room - met if met > room else keep_near(m, mine, across, met)
     number[part, 1] = 0
     for c in range(number[part, 0]):
@@ -198,20 +201,21 @@ def enlist_part(part: int, m: ContactState, found: Long, normal: Float, number: 
     edges, part by part. Pairs of a list then have the same order in the next one, wherever parts begin: forces are
     summed, and constraints solved, in that order, in which cloth at rest is to stay at rest.
     """
-    room, edges, faces = found.shape[0] // PARTS, m.edges.shape[0], m.faces.shape[0]
+    pairs, pair = m.pairs, m.pairs.vertices
+    room, edges, faces = found.shape[0] // PARTS, m.tree.edges.shape[0], m.tree.faces.shape[0]
     first, own_faces = [0, number[:, 1].sum()], number[part, 1]
     for before in range(part):
         first[0] += number[before, 1]
         first[1] += number[before, 0] - number[before, 1]
     for c in range(number[part, 0]):
         at, of = (first[0] + c if c < own_faces else first[1] + c - own_faces), part * room + c
-        if at < m.pair.shape[0]:
+        if at < pair.shape[0]:
             e, f = found[of, 0], found[of, 1]
-            m.pair[at, 0], m.pair[at, 1], m.pair[at, 2], m.pair[at, 3] = vertices_of(m, e, f)
-            m.of[at], m.reach[at] = -1 if e < 0 else f, -1.0
-            m.key[at] = (1 + e) * edges - 1 - f if e < 0 else e * faces + f
+            pair[at, 0], pair[at, 1], pair[at, 2], pair[at, 3] = vertices_of(m, e, f)
+            pairs.face[at], pairs.reach[at] = -1 if e < 0 else f, -1.0
+            pairs.key[at] = (1 + e) * edges - 1 - f if e < 0 else e * faces + f
             for row in range(3):
-                m.normal[at, row] = normal[of, row]
+                pairs.normal[at, row] = normal[of, row]
 
 
 search_parts = over_blocks(search_part, "m, leaves, found, normal, number", order=IN_TURN)
@@ -220,13 +224,13 @@ enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TUR
 
 @block_kernel
 def search(m: ContactState, threads: int | None) -> None:
-    """List the pairs by the tree, which is already fitted to m.ways."""
-    leaves = near_leaves(m.boxes, m.law[0], m.local.shape[0] > 0)
-    number, room = np.empty((PARTS, 2), np.int64), 24 * m.faces.shape[0] // PARTS
+    """List the pairs by the tree, which is already fitted to m.plan.ways."""
+    leaves = near_leaves(m.tree.boxes, m.surface.law[0], m.bodies.local.shape[0] > 0)
+    number, room = np.empty((PARTS, 2), np.int64), 24 * m.tree.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
         if m.leave[0] != 0:
-            m.number[LISTED] = m.number[LACKING] = 0
+            m.counts[LISTED] = m.counts[LACKING] = 0
             return
         found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
         search_parts(m, leaves, found, normal, number, PARTS, threads)
@@ -235,14 +239,16 @@ def search(m: ContactState, threads: int | None) -> None:
             lacking, total = max(lacking, -number[part, 0]), total + number[part, 0]
         room += lacking
     enlist_parts(m, found, normal, number, PARTS, threads)
-    m.number[LISTED], m.number[LACKING] = min(total, m.pair.shape[0]), max(0, total - m.pair.shape[0])
+    places = m.pairs.vertices.shape[0]
+    m.counts[LISTED], m.counts[LACKING] = min(total, places), max(0, total - places)
 
 
 @block_kernel
 def choose_part(part: int, m: ContactState, number: Long) -> None:
-    """Choose near pairs among a part of the listed ones; write them into m.near from the part's first place on."""
-    pair, of, normal, anchored, near, thickness, ways = m.pair, m.of, m.normal, m.anchored, m.near, m.law[0], m.ways
-    first, end = part * m.number[LISTED] // PARTS, (part + 1) * m.number[LISTED] // PARTS
+    """Choose near pairs among a part of the listed ones; write them into `near` from the part's first place on."""
+    pairs, anchored, thickness, ways = m.pairs, m.friction.anchored, m.surface.law[0], m.plan.ways
+    pair, of, normal, near = pairs.vertices, pairs.face, pairs.normal, pairs.near
+    first, end = part * m.counts[LISTED] // PARTS, (part + 1) * m.counts[LISTED] // PARTS
     candidates_end = first
     # Without a branch for each, since a wrong prediction takes longer than the evaluation.
     for p in range(first, end):
@@ -261,7 +267,7 @@ def choose_part(part: int, m: ContactState, number: Long) -> None:
             anchored[p] = False
             continue
         normal[p, 0], normal[p, 1], normal[p, 2] = n
-        if m.reach[p] < 0.0:
+        if pairs.reach[p] < 0.0:
             measure(m, p)
         near[chosen] = p
         chosen += 1
@@ -274,26 +280,28 @@ choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
 @block_kernel
 def choose_near(m: ContactState, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others do not touch, and lose their anchors."""
-    lay_out(m.reference[3:], m.motion[3:], m.spread[1], m.ways)
+    plan = m.plan
+    lay_out(plan.reference[3:], plan.motion[3:], plan.spread[1], plan.ways)
     number = np.empty(PARTS, np.int64)
     choose_parts(m, number, PARTS, threads)
-    m.number[NEAR], m.number[CHOICES] = close_up(m.near, m.number[LISTED], number), m.number[CHOICES] + 1
-    copy_rows(m.reference[3:], m.listed[3:6])
-    copy_rows(m.motion[3:], m.listed[9:12])
-    copy_rows(m.spread[1:], m.listed[13:])
+    m.counts[NEAR], m.counts[CHOICES] = close_up(m.pairs.near, m.counts[LISTED], number), m.counts[CHOICES] + 1
+    copy_rows(plan.reference[3:], plan.listed[3:6])
+    copy_rows(plan.motion[3:], plan.listed[9:12])
+    copy_rows(plan.spread[1:], plan.listed[13:])
 
 
 @block_kernel
 def make_list(m: ContactState, threads: int | None) -> None:
     """List the pairs for the present plan, without moving anchors."""
-    x, u, spread = m.reference[:3], m.motion[:3], m.spread[0]
-    fit_tree(tree_of(m), x, u, spread)
-    lay_out(x, u, spread, m.ways)
-    copy_rows(x, m.listed[:3])
-    copy_rows(u, m.listed[6:9])
-    copy_rows(m.spread[:1], m.listed[12:13])
+    plan = m.plan
+    x, u, spread = plan.reference[:3], plan.motion[:3], plan.spread[0]
+    fit_tree(m.tree, x, u, spread)
+    lay_out(x, u, spread, plan.ways)
+    copy_rows(x, plan.listed[:3])
+    copy_rows(u, plan.listed[6:9])
+    copy_rows(plan.spread[:1], plan.listed[12:13])
     search(m, threads)
-    m.number[LISTS_MADE] += 1
+    m.counts[LISTS_MADE] += 1
 
 
 @forced_inline
@@ -308,29 +316,30 @@ def slot(key: int, table: Long) -> int:
 @block_kernel
 def renew_list(m: ContactState, threads: int | None) -> None:
     """List the pairs; anchors move with them, and so do the shares of friction of the present xpbd step."""
+    pairs, friction = m.pairs, m.friction
     held, size = 0, 64
-    for p in range(m.number[LISTED]):
-        held += 1 if m.anchored[p] else 0
+    for p in range(m.counts[LISTED]):
+        held += 1 if friction.anchored[p] else 0
     while size < 2 * held:
         size *= 2
     table, anchors, share = np.empty(size, np.int64), np.empty((size, 4)), np.empty(size)
     for at in range(size):
         table[at] = EMPTY
-    for p in range(m.number[LISTED]):
-        if m.anchored[p]:
-            at = slot(m.key[p], table)
-            table[at], share[at] = m.key[p], m.pulled[p, 3] if m.kept[p] else -1.0
+    for p in range(m.counts[LISTED]):
+        if friction.anchored[p]:
+            at = slot(pairs.key[p], table)
+            table[at], share[at] = pairs.key[p], m.xpbd.force[p, 3] if m.kept.which[p] else -1.0
             for corner in range(4):
-                anchors[at, corner] = m.anchor[p, corner]
-            m.anchored[p] = False
+                anchors[at, corner] = friction.anchor[p, corner]
+            friction.anchored[p] = False
     make_list(m, threads)
-    for p in range(m.number[LISTED] if held > 0 else 0):
-        at = slot(m.key[p], table)
-        m.anchored[p] = table[at] != EMPTY
-        if m.anchored[p]:
-            m.kept[p], m.pulled[p, 3] = share[at] >= 0.0, share[at]
+    for p in range(m.counts[LISTED] if held > 0 else 0):
+        at = slot(pairs.key[p], table)
+        friction.anchored[p] = table[at] != EMPTY
+        if friction.anchored[p]:
+            m.kept.which[p], m.xpbd.force[p, 3] = share[at] >= 0.0, share[at]
             for corner in range(4):
-                m.anchor[p, corner] = anchors[at, corner]
+                friction.anchor[p, corner] = anchors[at, corner]
 
 
 # The expected ways of vertices, their duration and accuracy, for which lists of pairs are made.
@@ -370,8 +379,8 @@ AHEAD = 3.0
 @forced_inline
 def off_plan(m: ContactState, which: int, x: Float, share: float, i: int, count: int) -> Triple:
     """Return how far `count` vertices of x (3, n) from number i on are off a plan after a share of it."""
-    way = minus(read_triple(x, 0, i, count), read_triple(m.reference, 3 * which, i, count))
-    return minus(way, times(splat(share), read_triple(m.motion, 3 * which, i, count)))
+    way = minus(read_triple(x, 0, i, count), read_triple(m.plan.reference, 3 * which, i, count))
+    return minus(way, times(splat(share), read_triple(m.plan.motion, 3 * which, i, count)))
 
 
 @block_kernel
@@ -379,7 +388,7 @@ def strays(m: ContactState, which: int, x: Float, share: float) -> bool:
     """Whether a vertex of x (3, n) is farther from its place in a plan after a share of that than allowed."""
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
-        off, room = off_plan(m, which, x, share, i, count), read(m.spread, which, i, count)
+        off, room = off_plan(m, which, x, share, i, count), read(m.plan.spread, which, i, count)
         if lanes_up_to(dot(off, off) - room * room, 0.0) != EVERY:
             return True
     return False
@@ -394,21 +403,21 @@ def holds(m: ContactState, which: int, x: Float, s: float, ahead: float) -> bool
 
 @block_kernel
 def learn(m: ContactState, which: int, x: Float, gone: float, share: float) -> None:
-    """Update m.unrest by how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
+    """Update `unrest` by how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
     ago; `share` of the plan's window has passed.
     """
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
         off = off_plan(m, which, x, share, i, count)
         # In this order: before the first plan the reference is NaN, which must not enter.
-        before = 0.7 * read(m.unrest, which, i, count)
-        write(m.unrest, which, i, count, higher(root(dot(off, off)) / (gone * gone), before))
+        before = 0.7 * read(m.plan.unrest, which, i, count)
+        write(m.plan.unrest, which, i, count, higher(root(dot(off, off)) / (gone * gone), before))
 
 
 @block_kernel
 def allow(m: ContactState, spread: Float, unrest: Float, window: float, least: float, most: float) -> None:
     """Set spread (n,), how far each vertex may stray in a plan for a window, between `least` and `most` thicknesses."""
-    h = m.law[0]
+    h = m.surface.law[0]
     for i in range(spread.shape[0]):
         spread[i] = min(max(AHEAD * window * window * unrest[i], least * h), most * h)
 
@@ -445,22 +454,23 @@ def plan(m: ContactState, u: Float, way: float, ahead: float, renew: bool, threa
     clock = m.clock
     gone = clock[NOW] - clock[NEAR_BEGUN]
     share, used = gone / clock[NEAR_WINDOW], (gone + way + ahead) / clock[NEAR_WINDOW]
-    dear = (m.number[NEAR] - m.number[CLOSE]) * gone > CHOICE * m.number[LISTED] * way
+    dear = (m.counts[NEAR] - m.counts[CLOSE]) * gone > CHOICE * m.counts[LISTED] * way
     window = clock[NEAR_WINDOW] * (1.0 / GROWTH if dear or used < 0.5 else GROWTH if used > 1.0 else 1.0)
     window = max(way + 1.5 * ahead, min(LONGEST, max(SHORTEST, window)))
     if gone > 0.0:
         learn(m, 1, m.last, gone, share)
-    allow(m, m.spread[1], m.unrest[1], window, LEAST[1], MOST[1])
+    allow(m, m.plan.spread[1], m.plan.unrest[1], window, LEAST[1], MOST[1])
     set_out(m, u, way, window, renew, threads)
 
 
 @block_kernel
 def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, threads: int | None) -> None:
-    """Choose near pairs for a window, in which vertices may stray as far as m.spread[1], from a list made anew if
+    """Choose near pairs for a window, in which vertices may stray as far as m.plan.spread[1], from a list made anew if
     `renew`.
     """
-    clock, last, reference, motion, spread = m.clock, m.last, m.reference, m.motion, m.spread
-    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.step[0] == 0.0
+    plan = m.plan
+    clock, last, reference, motion, spread = m.clock, m.last, plan.reference, plan.motion, plan.spread
+    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.implicit.step[0] == 0.0
     for row in range(3):
         for i in range(last.shape[1]):
             # A shortened vertex is pinched, and comes no farther in the steps to come.
@@ -471,23 +481,23 @@ def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, t
         begun = (s - clock[LIST_BEGUN]) / clock[LIST_WINDOW]
         if s > clock[LIST_BEGUN]:
             learn(m, 0, last, s - clock[LIST_BEGUN], begun)
-        scale, pairs = clock[LIST_ROOM], m.number[LISTED] / (last.shape[1] - m.local.shape[0])
+        scale, pairs = clock[LIST_ROOM], m.counts[LISTED] / (last.shape[1] - m.bodies.local.shape[0])
         if pairs > CROWDED[0] and begun > EARLY:
             scale *= 0.7
         elif pairs < 0.5 * CROWDED[0] or (pairs < CROWDED[1] and begun < EARLY):
             scale = min(1.0, 1.2 * scale)
         whole, clock[LIST_ROOM] = max(2.0 * window, LISTS), scale
         longer = min(LONGEST, GROWTH * clock[LIST_WINDOW])
-        if begun > EARLY and longer > whole and is_quiet(m.unrest[0], longer, LEAST[0] * m.law[0]):
+        if begun > EARLY and longer > whole and is_quiet(plan.unrest[0], longer, LEAST[0] * m.surface.law[0]):
             whole = longer
-        allow(m, spread[0], m.unrest[0], whole, LEAST[0], MOST[0])
+        allow(m, spread[0], plan.unrest[0], whole, LEAST[0], MOST[0])
         for i in range(last.shape[1]):
             spread[0, i] = scale * spread[0, i] + spread[1, i]
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole
         renew_list(m, threads)
-        while m.number[LACKING] > 0 and whole > window and m.leave[0] == 0:
+        while m.counts[LACKING] > 0 and whole > window and m.leave[0] == 0:
             # Vertices that will be pushed back are expected to go through: over a shorter time by less.
             shorter = max(0.5, window / whole)
             whole *= shorter
@@ -496,8 +506,8 @@ def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, t
                 for i in range(last.shape[1]):
                     motion[row, i] *= shorter
             renew_list(m, threads)
-        while m.number[LACKING] > 0 and m.leave[0] == 0 and tighter(spread):
+        while m.counts[LACKING] > 0 and m.leave[0] == 0 and tighter(spread):
             clock[LIST_ROOM] *= 0.5
             renew_list(m, threads)
-        m.so_far[LEFT_OUT] += m.number[LACKING]
+        m.so_far[LEFT_OUT] += m.counts[LACKING]
     choose_near(m, threads)

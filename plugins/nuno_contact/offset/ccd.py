@@ -65,17 +65,19 @@ def nearest(reach: float, distance: float) -> float:
 @forced_inline
 def is_thorough(m: ContactState) -> bool:
     """Whether all planes are tried before a step is cut short: for long steps, and for bodies, which go far in one."""
-    return bool(m.step[0] > 0.0) or m.local.shape[0] > 0
+    return bool(m.implicit.step[0] > 0.0) or m.bodies.local.shape[0] > 0
 
 
 @block_kernel
 def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, failed: Long) -> None:
-    """Do pass_by for a part of the near pairs: write the close ones into m.close from the part's first place on, their
+    """Do pass_by for a part of the near pairs: write the close ones into `close` from the part's first place on, their
     number, and the number of pairs that no plane keeps apart.
     """
-    pair, of, reach, normal, last, near, close = m.pair, m.of, m.reach, m.normal, m.last, m.near, m.close
+    pairs = m.pairs
+    pair, of, reach, normal = pairs.vertices, pairs.face, pairs.reach, pairs.normal
+    last, near, close = m.last, pairs.near, pairs.close
     thorough, fails = is_thorough(m), 0
-    first, end = part * m.number[NEAR] // PARTS, (part + 1) * m.number[NEAR] // PARTS
+    first, end = part * m.counts[NEAR] // PARTS, (part + 1) * m.counts[NEAR] // PARTS
     at = first
     for q in range(first, end):
         p = near[q]
@@ -83,7 +85,7 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, fa
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
         low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
         if low - high > more(reach[p], IMPULSE_RANGE * reach[p] + 2.0 * way):
-            m.anchored[p] = False
+            m.friction.anchored[p] = False
             continue
         close[at] = p
         at += 1
@@ -110,20 +112,21 @@ def pass_by(m: ContactState, x: Float, way: float, threads: int | None) -> int:
     """Return the number of pairs that no plane keeps apart from `last` to x; each gets its best plane at `last`.
 
     Pairs that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
-    m.close.
+    m.pairs.close.
     """
     number, failed = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
-    pass_parts(m, x, way, number, failed, PARTS, m.number[NEAR], threads)
-    m.number[CLOSE] = close_up(m.close, m.number[NEAR], number)
+    pass_parts(m, x, way, number, failed, PARTS, m.counts[NEAR], threads)
+    m.counts[CLOSE] = close_up(m.pairs.close, m.counts[NEAR], number)
     return int(failed.sum())
 
 
 @block_kernel
 def all_close(m: ContactState) -> None:
     """Note all near pairs as close."""
-    m.number[CLOSE] = m.number[NEAR]
-    for q in range(m.number[NEAR]):
-        m.close[q] = m.near[q]
+    pairs = m.pairs
+    m.counts[CLOSE] = m.counts[NEAR]
+    for q in range(m.counts[NEAR]):
+        pairs.close[q] = pairs.near[q]
 
 
 @forced_inline
@@ -139,13 +142,14 @@ def shortened(here: Vector, there: Vector, n: Vector, least: float, share: float
 @block_kernel
 def shorten(m: ContactState, x: Float) -> None:
     """Find the share of the way from `last` to x that each vertex can go, m.share."""
-    pair, of, reach, normal, last, share = m.pair, m.of, m.reach, m.normal, m.last, m.share
+    pairs = m.pairs
+    pair, of, reach, normal, last, share = pairs.vertices, pairs.face, pairs.reach, pairs.normal, m.last, m.share
     share[:] = 1.0
     again = True
     while again and m.leave[0] == 0:
         again = False
-        for q in range(m.number[NEAR]):
-            p = m.near[q]
+        for q in range(m.counts[NEAR]):
+            p = pairs.near[q]
             i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
             here, there, of_edges = corners_of(last, i, j, k, l), corners_of(x, i, j, k, l), of[p] < 0
             n = (normal[p, 0], normal[p, 1], normal[p, 2])
@@ -174,25 +178,25 @@ def shorten(m: ContactState, x: Float) -> None:
 def limit_step(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Shorten a step from `last` to x, v (3, n), which ends at fraction s of the interval, to where cloth meets."""
     dt = (s - m.clock[NOW]) * m.span[0]
-    if m.local.shape[0] == 0:
-        if limit_whole_step(m, x, v, s, threads) and m.swept[0] == 0:
+    if m.bodies.local.shape[0] == 0:
+        if limit_whole_step(m, x, v, s, threads) and m.xpbd.sweeps[0] == 0:
             apply_impulses(m, v, dt, SWEEPS[0], threads)
-        m.swept[0] = 0
+        m.xpbd.sweeps[0] = 0
         return
-    n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
+    n, goal, velocity = x.shape[1], m.whole.goal, m.whole.v
     pose_solids(m, s)
     limit_ways(m, n, dt)
     copy_part(x, goal, 0, n)
     copy_part(v, velocity, 0, n)
     if limit_whole_step(m, goal, velocity, s, threads):
         copy_part(goal, x, 0, n)
-        if m.still[0] != PLACED:
+        if m.bodies.still[0] != PLACED:
             pose_solids(m, s)
             find_behind(m, n)
             catch_up(m, n, dt)
         apply_impulses(m, velocity, dt, SWEEPS[1], threads)
         copy_part(velocity, v, 0, n)
-    m.swept[0] = 0
+    m.xpbd.sweeps[0] = 0
 
 
 @block_kernel
@@ -202,7 +206,7 @@ def list_for(m: ContactState, x: Float, s: float, threads: int | None) -> bool:
     Those of bodies hold for a step more: an obstacle must be seen before, for a body cannot be slowed down then.
     """
     way = s - m.clock[NOW]
-    ahead = way if m.local.shape[0] > 0 else 0.0
+    ahead = way if m.bodies.local.shape[0] > 0 else 0.0
     renew = not holds(m, LIST, x, s, ahead)
     if renew or not holds(m, CHOSEN, x, s, ahead):
         if not all_finite(x):
@@ -220,27 +224,27 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
     dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the present lists, and if new ones show more contacts, with those.
     passes = False
-    for _ in range(3 if m.local.shape[0] > 0 else 0):
-        passes = m.number[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
-        if m.number[LACKING] == 0 and not passes:
+    for _ in range(3 if m.bodies.local.shape[0] > 0 else 0):
+        passes = m.counts[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
+        if m.counts[LACKING] == 0 and not passes:
             push_cloth_ahead(m, x, v, dt, threads)
-        lists = m.number[CHOICES]
+        lists = m.counts[CHOICES]
         if not list_for(m, x, s, threads):
             return False
-        if m.number[CHOICES] == lists:
+        if m.counts[CHOICES] == lists:
             break
         passes = False
-    if m.local.shape[0] == 0 and not list_for(m, x, s, threads):
+    if m.bodies.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
     if not passes and (
-        m.number[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.number[NEAR] > 0 else 0.0, threads) > 0
+        m.counts[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.counts[NEAR] > 0 else 0.0, threads) > 0
     ):
         cut_short(m, x, v, s, threads)
         all_close(m)
     else:
         m.share[:] = 1.0
     copy_rows(x, m.last)
-    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.step[0] == 0.0 else 0.0
+    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.implicit.step[0] == 0.0 else 0.0
     find_touching(m, threads)
     drag_anchors(m, v, threads)
     return True
@@ -249,12 +253,12 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
 @block_kernel
 def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None) -> None:
     """Shorten vertices' ways to x, at fraction s of the interval, in place, and their velocities v (3, n) as much."""
-    last, share, spread, farthest = m.last, m.share, m.spread[1], 0.0
+    last, share, spread, farthest = m.last, m.share, m.plan.spread[1], 0.0
     for i in range(x.shape[1]):
         a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
         farthest = max(farthest, np.sqrt(a * a + b * b + c * c))
-    if 2.0 * farthest > 0.9 * m.law[0]:
-        if m.number[LACKING] == 0:
+    if 2.0 * farthest > 0.9 * m.surface.law[0]:
+        if m.counts[LACKING] == 0:
             # A pair that is not listed stays apart as long as vertices are where the plans allow. Where shortened ways
             # end there, they lead there: all that could be met is listed.
             to, at, counts = x.copy(), v.copy(), m.so_far.copy()
@@ -268,8 +272,8 @@ def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None
         for i in range(x.shape[1]):
             a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
             spread[i] = max(spread[i], np.sqrt(a * a + b * b + c * c))
-        set_out(m, m.nothing, 1.0, m.clock[NEAR_WINDOW], True, threads)
-    if m.number[LACKING] > 0:
+        set_out(m, m.plan.zeros, 1.0, m.clock[NEAR_WINDOW], True, threads)
+    if m.counts[LACKING] > 0:
         # Unlisted pairs might meet: nothing moves.
         m.so_far[STILL] += 1
         share[:] = 0.0
@@ -292,10 +296,10 @@ def shorten_to_near(m: ContactState, x: Float, v: Float, threads: int | None) ->
 @block_kernel
 def apply_shares(m: ContactState, x: Float, v: Float) -> None:
     """Apply the shares of ways to x and, but for bodies, to velocities v (3, n), in place, and count them."""
-    last, share, cloth = m.last, m.share, x.shape[1] - m.local.shape[0]
+    last, share, cloth = m.last, m.share, x.shape[1] - m.bodies.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
-            m.so_far[CUT if m.mass[i] > 0.0 else HELD_CUT] += 1
+            m.so_far[CUT if m.surface.mass[i] > 0.0 else HELD_CUT] += 1
             for row in range(3):
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
                 if i < cloth:

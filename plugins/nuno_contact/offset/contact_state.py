@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nuno_contact.offset.tree import Tree, adjacent_faces, make_tree, rings
-from nuno_kernels import block_kernel, forced_inline
+from nuno_contact.offset.tree import MovingTree, adjacent_faces, make_tree, rings
+from nuno_kernels import block_kernel
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.step.blocks import Long, block_count
 from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -18,7 +18,7 @@ from nuno_schemas.vectors import norm
 # Indices of the arrays of ContactState that hold single numbers.
 
 LISTED, NEAR, LACKING, LISTS_MADE, CHOICES, SHARED, CLOSE, TOUCHING = range(8)
-"""Indices of ContactState.number: listed pairs; near ones; pairs without room in the list; the number of lists made,
+"""Indices of ContactState.counts: listed pairs; near ones; pairs without room in the list; the number of lists made,
 and of choices of near pairs; the choice that is assigned to blocks; close pairs; touching pairs."""
 CUT, HELD_CUT, STEPS, LEFT_OUT, STILL = range(5)
 """Indices of ContactState.so_far: shortened steps of vertices, and of held ones; steps; pairs that had no room in a
@@ -43,26 +43,11 @@ IN_TURN = f"block % {ROWS} * {ROWS} + block // {ROWS}"
 longer than those of edges."""
 
 
-class ContactState(NamedTuple):
-    """Cloth, and bodies behind it, of n vertices, e edges and f triangles, and P places for pairs.
+@by_reference
+class ContactSurface(NamedTuple):
+    """The n vertices of cloth, and of bodies behind it, and how its f triangles adjoin each other."""
 
-    boxes ... vertex_boxes are the tree's (nuno_contact.offset.tree).
-    """
-
-    boxes: Float
-    faces: Int
-    edges: Int
-    vertices: Int
-    face_start: Int
-    face: Int
-    edge_start: Int
-    edge: Int
-    vertex_start: Int
-    vertex: Int
-    face_boxes: Float
-    edge_boxes: Float
-    vertex_boxes: Float
-    beside: Int
+    adjacent: Int
     """(f, 3) number of the triangle across the edges a-b, b-c, c-a; -1 if there is none"""
     ring_start: Int
     """(n + 1,) bounds of each vertex' neighbours in ring"""
@@ -71,6 +56,8 @@ class ContactState(NamedTuple):
     """(n,) lowest number of the triangles at each vertex, -1 where there are none"""
     start: Float
     """(3, n) vertices at the start [m]: what is nearer than the thickness there keeps the distance that it has"""
+    size: Float
+    """(n,) see size_of [m]"""
     piece: Int
     """(n,) the object of each vertex"""
     meets: Bool
@@ -81,48 +68,130 @@ class ContactState(NamedTuple):
     """(n,) [kg], 0 for those that are held or carried, and for bodies"""
     law: Float
     """(3,) thickness [m], Coulomb coefficient, damping as a ratio of critical"""
-    pair: Int
+
+
+@by_reference
+class BodyVertices(NamedTuple):
+    """The bodies' b vertices, which are the last of the n, and the motion of the frames that carry them."""
+
+    local: Float
+    """(b, 3) where they are in their frames [m]"""
+    frame: Int
+    """(b,) of which frame each is"""
+    law: Float
+    """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
+    rotation0: Float
+    """(f, 9), and the next four fields, as in nuno_geometry.poses.Frames"""
+    origin0: Float
+    spin: Float
+    shift: Float
+    frames: Float
+    behind: Bool
+    """(b,) which of the vertices are behind their bodies at `last`"""
+    still: Long
+    """(1,) motion of bodies in the interval: see nuno_contact.offset.bodies.MOVES"""
+
+
+@by_reference
+class SkinVertices(NamedTuple):
+    """The s of the bodies' vertices that are of skins, on e carriers."""
+
+    joint: Int
+    """(s, k) the carriers of each vertex"""
+    weight: Float
+    """(s, k) the shares of those"""
+    place: Float
+    """(e, 3) where the carriers lie as the skins are bound [m]"""
+    frame: Int
+    """(e,) which frames they are"""
+    begin: Float
+    """(b, 3) of all bodies' vertices, where there are skins: where those of skins begin in the interval [m]"""
+    end: Float
+    """(b, 3) where they end"""
+    rate: Float
+    """(1,) 1 over the interval's duration [1/s]"""
+
+
+@by_reference
+class WholeMesh(NamedTuple):
+    """Scratch: cloth's vertices and the bodies' after them. Empty without bodies."""
+
+    x: Float
+    """(3, n) where forces are found [m]"""
+    v: Float
+    """(3, n) velocities there [m/s]"""
+    goal: Float
+    """(3, n) the end of a step, bodies' vertices where their bodies are"""
+    way: Float
+    """(3, n) of an implicit method: the way to its next iterate"""
+
+
+@by_reference
+class Pairs(NamedTuple):
+    """The listed pairs, with places for P, and the near ones among them."""
+
+    vertices: Int
     """(P, 4) vertices of each pair: see nuno_contact.offset.proximity"""
-    of: Int
+    face: Int
     """(P,) number of the triangle of a vertex and a triangle, -1 for two edges"""
-    key: NDArray[np.int64]
+    key: Long
     """(P,) a number of the pair, the same in every list"""
     reach: Float
     """(P,) distance within which a pair pushes [m]; negative if it was not near so far, and the rest is unset"""
-    pair_stiffness: Float
+    stiffness: Float
     """(P,) k of a pair [N/m]: half of what the weakest of its vertices can bear, or EDGES of that"""
-    pair_damping: Float
+    damping: Float
     """(P,) c = 2 zeta sqrt(k m / 2) [N s/m], m the mass of the lightest"""
-    eased: Float
-    """(P,) share of its damping that a pair which touches has at `last`: see nuno_contact.offset.force.ease_part"""
-    pair_friction: Float
+    friction: Float
     """(P,) Coulomb coefficient of a pair"""
     normal: Float
     """(P, 3) of a plane that keeps the pair apart at `last`"""
     near: Int
     """(P,) the near ones among them"""
-    number: NDArray[np.int64]
-    """(8,) counts: see LISTED"""
+    close: Int
+    """(P,) near pairs that may touch after the last step, or come too near in the next"""
     block_start: Int
     """(B + 1,) bounds of the near pairs of each block of cloth in"""
     block_pair: Int
     """(4 P,)"""
-    close: Int
-    """(P,) near pairs that may touch after the last step, or come too near in the next"""
-    touching: Int
-    """(P,) pairs that touch at `last`; touch_start (B + 1,) and touch_pair (4 P,) share them out as above"""
-    touch_start: Int
-    touch_pair: Int
+
+
+@by_reference
+class TouchingPairs(NamedTuple):
+    """The pairs that touch at `last`."""
+
+    pair: Int
+    """(P,) their numbers in the list"""
+    block_start: Int
+    """(B + 1,) bounds of those of each block of cloth in"""
+    block_pair: Int
+    """(4 P,)"""
     weights: Float
-    """(P, 4) at the closest points of those that touch"""
+    """(P, 4) at the closest points, by number in the list"""
     distance: Float
-    """(P,) of those that touch [m]"""
+    """(P,) [m]"""
+    eased: Float
+    """(P,) share of its damping that each has: see nuno_contact.offset.force.ease_part"""
+    rate: Float
+    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
     fresh: Bool
     """(1,) whether forces are asked for at `last`"""
+
+
+@by_reference
+class Anchors(NamedTuple):
+    """The points that friction holds together; part of the state."""
+
     anchor: Float
-    """(P, 4) weights of the points that friction holds together: part of the state"""
+    """(P, 4) weights of the points of each pair"""
     anchored: Bool
-    """(P,) which pairs have an anchor: part of the state"""
+    """(P,) which pairs have an anchor"""
+
+
+@by_reference
+class CandidatePlan(NamedTuple):
+    """The ways for which the list was made, and near pairs were chosen: see nuno_contact.offset.candidate_pairs."""
+
     reference: Float
     """(6, n) vertices when the list was made, and when near pairs were chosen [m]; NaN before: part of the state"""
     motion: Float
@@ -131,89 +200,81 @@ class ContactState(NamedTuple):
     """(2, n) how far they may be from there, in the list's plan and in that of near pairs [m]: part of the state"""
     unrest: Float
     """(2, n) how much they strayed in the last plans, over the square of the plans' time [m]: part of the state"""
+    listed: Float
+    """(14, n) references, motions and spreads of the present lists"""
+    zeros: Float
+    """(3, n)"""
+    ways: Float
+    """(n, 8) scratch: see nuno_contact.offset.candidate_pairs.lay_out"""
+
+
+@by_reference
+class ImplicitScratch(NamedTuple):
+    """What an implicit method notes within a step."""
+
+    step: Float
+    """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
+    velocity: Float
+    """(3, n) where forces were found last [m/s]"""
+    expected: Bool
+    """(P,) which pairs are expected to touch after its next Newton step"""
+    calm: Long
+    """(1,) Newton steps since one was shortened"""
+    frozen: Bool
+    """(1,) whether the contacts of `kept` are frozen"""
+
+
+@by_reference
+class KeptContacts(NamedTuple):
+    """Contacts that an implicit method or xpbd keeps from one iterate to the next, by number in the list; scratch."""
+
+    which: Bool
+    """(P,) which pairs are kept"""
+    weights: Float
+    """(P, 4) at the closest points"""
+    normal: Float
+    """(P, 3)"""
+
+
+@by_reference
+class XpbdScratch(NamedTuple):
+    """What xpbd notes within a step."""
+
+    force: Float
+    """(P, 4) the force [N] of pairs that are kept, and the share of its friction that each gets, 1 where it sticks"""
+    sweeps: Long
+    """(1,) sweeps over pairs in this step so far"""
+
+
+class ContactState(NamedTuple):
+    """The state of cloth contact: cloth, and bodies behind it, of n vertices, e edges and f triangles."""
+
+    tree: MovingTree
+    surface: ContactSurface
+    bodies: BodyVertices
+    skin: SkinVertices
+    whole: WholeMesh
+    pairs: Pairs
+    touching: TouchingPairs
+    friction: Anchors
+    plan: CandidatePlan
+    implicit: ImplicitScratch
+    kept: KeptContacts
+    xpbd: XpbdScratch
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
+    share: Float
+    """(n,) scratch: the share of a step that each vertex makes"""
     clock: Float
     """(7,) times and shares: see NOW; part of the state"""
     span: Float
     """(1,) of the interval [s]"""
-    listed: Float
-    """(14, n) references, motions and spreads of the present lists"""
-    nothing: Float
-    """(3, n) zeros"""
-    ways: Float
-    """(n, 8) scratch: see nuno_contact.offset.candidate_pairs.lay_out"""
-    step: Float
-    """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
-    velocity: Float
-    """(3, n) scratch of an implicit method: where forces were found last [m/s]"""
-    expected: Bool
-    """(P,) scratch of an implicit method: which pairs are expected to touch after its next Newton step"""
-    calm: NDArray[np.int64]
-    """(1,) scratch of an implicit method: Newton steps since one was shortened"""
-    frozen: Bool
-    """(1,) scratch of an implicit method: whether the contacts of kept_weights are frozen"""
-    kept_weights: Float
-    """(P, 4), kept_normal (P, 3) at the closest points; kept (P,) which pairs count"""
-    kept_normal: Float
-    kept: Bool
-    pulled: Float
-    """(P, 4) scratch of xpbd: the force [N] of pairs that are kept, at kept_weights, and the share of its friction
-    that each gets, 1 where it sticks"""
-    swept: NDArray[np.int64]
-    """(1,) scratch of xpbd: sweeps over pairs in this step so far"""
-    share: Float
-    """(n,) scratch: the share of a step that each vertex makes"""
-    rate: Float
-    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
-    local: Float
-    """(b, 3) where the bodies' vertices are in their frames [m], the last b of n; frame (b,) of which frame"""
-    frame: Int
-    body_law: Float
-    """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
-    size: Float
-    """(n,) see size_of [m]"""
-    rotation0: Float
-    """and the rest as nuno_geometry.poses has it"""
-    origin0: Float
-    spin: Float
-    shift: Float
-    frames: Float
-    skin_joint: Int
-    """Of the s of them that are of skins: (s, k) which carriers they go with, and skin_weight (s, k); skin_place (e, 3)
-    where the carriers lie as the skins are bound [m], skin_frame (e,) which frames they are"""
-    skin_weight: Float
-    skin_place: Float
-    skin_frame: Int
-    skin_begin: Float
-    """Of all bodies' vertices, where there are skins: (b, 3) where those of skins begin in the interval [m], skin_end
-    (b, 3) where they end, and skin_pace (1,) over its duration [1/s]"""
-    skin_end: Float
-    skin_pace: Float
-    whole: Float
-    """For contact with bodies: (3, n) where forces are found, and whole_velocity (3, n)"""
-    whole_velocity: Float
-    goal: Float
-    """(3, n) scratch: the end of a step, bodies' vertices where their bodies are"""
-    way: Float
-    """(3, n) scratch of an implicit method: the way to its next iterate"""
-    behind: Bool
-    """(b,) which of the bodies' vertices are behind their bodies at `last`"""
-    still: NDArray[np.int64]
-    """(1,) motion of bodies in the interval: see nuno_contact.offset.bodies.MOVES"""
-    so_far: NDArray[np.int64]
+    counts: Long
+    """(8,) counts: see LISTED"""
+    so_far: Long
     """(5,) counts of the whole run: see CUT; part of the state"""
     leave: Long
     """(1,) see nuno_kernels.step.acceleration.Packed"""
-
-
-@forced_inline
-def tree_of(m: ContactState) -> Tree:
-    """Return the tree."""
-    return Tree(
-        m.boxes, m.faces, m.edges, m.vertices, m.face_start, m.face, m.edge_start, m.edge, m.vertex_start, m.vertex,
-        m.face_boxes, m.edge_boxes, m.vertex_boxes,
-    )  # fmt: skip
 
 
 @block_kernel
@@ -228,33 +289,33 @@ def close_up(found: Int, count: int, number: Long) -> int:
     return at
 
 
-def room_for_pairs(places: int) -> dict[str, Any]:
-    """Allocate the arrays of P places."""
-    return {
-        "pair": np.zeros((places, 4), np.int32),
-        "of": np.zeros(places, np.int32),
-        "key": np.zeros(places, np.int64),
-        "reach": np.zeros(places),
-        "pair_stiffness": np.zeros(places),
-        "pair_damping": np.zeros(places),
-        "eased": np.zeros(places),
-        "pair_friction": np.zeros(places),
-        "normal": np.zeros((places, 3)),
-        "near": np.zeros(places, np.int32),
-        "block_pair": np.zeros(4 * places, np.int32),
-        "close": np.zeros(places, np.int32),
-        "touching": np.zeros(places, np.int32),
-        "touch_pair": np.zeros(4 * places, np.int32),
-        "weights": np.zeros((places, 4)),
-        "distance": np.zeros(places),
-        "anchor": np.zeros((places, 4)),
-        "anchored": np.zeros(places, np.bool_),
-        "expected": np.zeros(places, np.bool_),
-        "kept_weights": np.zeros((places, 4)),
-        "kept_normal": np.zeros((places, 3)),
-        "kept": np.zeros(places, np.bool_),
-        "pulled": np.zeros((places, 4)),
-    }
+def make_pairs(places: int, blocks: int, n: int) -> tuple[Pairs, TouchingPairs, Anchors]:
+    """Allocate listed pairs, touching ones and anchors, with so many places, for so many blocks and n vertices."""
+    pairs = Pairs(
+        vertices=np.zeros((places, 4), np.int32),
+        face=np.zeros(places, np.int32),
+        key=np.zeros(places, np.int64),
+        reach=np.zeros(places),
+        stiffness=np.zeros(places),
+        damping=np.zeros(places),
+        friction=np.zeros(places),
+        normal=np.zeros((places, 3)),
+        near=np.zeros(places, np.int32),
+        close=np.zeros(places, np.int32),
+        block_start=np.zeros(blocks + 1, np.int32),
+        block_pair=np.zeros(4 * places, np.int32),
+    )
+    touching = TouchingPairs(
+        pair=np.zeros(places, np.int32),
+        block_start=np.zeros(blocks + 1, np.int32),
+        block_pair=np.zeros(4 * places, np.int32),
+        weights=np.zeros((places, 4)),
+        distance=np.zeros(places),
+        eased=np.zeros(places),
+        rate=np.zeros(n),
+        fresh=np.zeros(1, np.bool_),
+    )
+    return pairs, touching, Anchors(np.zeros((places, 4)), np.zeros(places, np.bool_))
 
 
 class Solids(NamedTuple):
@@ -284,31 +345,31 @@ def size_of(x: Float, faces: Int) -> Float:
     return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
 
 
-def parts_of_bodies(solids: Solids, wide: int) -> dict[str, Any]:
-    """Return ContactState's arrays of bodies, those of all vertices `wide`, which is 0 without bodies."""
-    return {
-        "local": np.array(solids.local, np.float64, order="C"),
-        "frame": np.array(solids.frame, np.int32),
-        "body_law": np.array(solids.law, np.float64, order="C"),
-        "rotation0": np.tile(np.eye(3).ravel(), (solids.frames, 1)),
-        "origin0": np.zeros((solids.frames, 3)),
-        "spin": np.zeros((solids.frames, 3)),
-        "shift": np.zeros((solids.frames, 3)),
-        "frames": np.zeros((solids.frames, 18)),
-        "skin_joint": np.array(solids.skin.joint, np.int32),
-        "skin_weight": np.array(solids.skin.weight, np.float64, order="C"),
-        "skin_place": np.array(solids.skin.place, np.float64, order="C"),
-        "skin_frame": np.array(solids.carrier, np.int32),
-        "skin_begin": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
-        "skin_end": np.zeros((len(solids.x) if len(solids.skin.joint) else 0, 3)),
-        "skin_pace": np.zeros(1),
-        "whole": np.zeros((3, wide)),
-        "whole_velocity": np.zeros((3, wide)),
-        "goal": np.zeros((3, wide)),
-        "way": np.zeros((3, wide)),
-        "behind": np.zeros(len(solids.x), np.bool_),
-        "still": np.zeros(1, np.int64),
-    }
+def make_bodies(solids: Solids, wide: int) -> tuple[BodyVertices, SkinVertices, WholeMesh]:
+    """Return the parts of bodies, with `wide` vertices of cloth and bodies together, which is 0 without bodies."""
+    bodies = BodyVertices(
+        local=np.array(solids.local, np.float64, order="C"),
+        frame=np.array(solids.frame, np.int32),
+        law=np.array(solids.law, np.float64, order="C"),
+        rotation0=np.tile(np.eye(3).ravel(), (solids.frames, 1)),
+        origin0=np.zeros((solids.frames, 3)),
+        spin=np.zeros((solids.frames, 3)),
+        shift=np.zeros((solids.frames, 3)),
+        frames=np.zeros((solids.frames, 18)),
+        behind=np.zeros(len(solids.x), np.bool_),
+        still=np.zeros(1, np.int64),
+    )
+    skinned = len(solids.x) if len(solids.skin.joint) else 0
+    skin = SkinVertices(
+        joint=np.array(solids.skin.joint, np.int32),
+        weight=np.array(solids.skin.weight, np.float64, order="C"),
+        place=np.array(solids.skin.place, np.float64, order="C"),
+        frame=np.array(solids.carrier, np.int32),
+        begin=np.zeros((skinned, 3)),
+        end=np.zeros((skinned, 3)),
+        rate=np.zeros(1),
+    )
+    return bodies, skin, WholeMesh(*(np.zeros((3, wide)) for _ in WholeMesh._fields))
 
 
 def make_contact_state(
@@ -320,47 +381,59 @@ def make_contact_state(
     x = np.concatenate([fabric.position, solids.x])
     faces = np.concatenate([fabric.faces, solids.faces + np.int32(fabric.number)])
     tree = make_tree(x, faces, len(fabric.faces))
-    wide = n if b else 0
     ring_start, ring = rings(tree.edges, n)
     first_face = np.full(n, -1, np.int32)
     corners = faces.ravel()
     first_face[corners[::-1]] = np.arange(len(corners))[::-1] // 3
-    return ContactState(
-        **tree._asdict(),
-        **room_for_pairs(places),
-        **parts_of_bodies(solids, wide),
-        beside=adjacent_faces(faces),
+    surface = ContactSurface(
+        adjacent=adjacent_faces(faces),
         ring_start=ring_start,
         ring=ring,
         first_face=first_face,
         start=np.ascontiguousarray(x.T),
+        size=size_of(x, faces),
         piece=piece.astype(np.int32),
         meets=meets,
         stiffness=np.concatenate([stiffness, np.zeros(b)]),
         mass=np.concatenate([np.where(fabric.pinned, 0.0, fabric.mass), np.zeros(b)]),
         law=law,
-        number=np.zeros(8, np.int64),
-        block_start=np.zeros(block_count(fabric.number) + 1, np.int32),
-        touch_start=np.zeros(block_count(fabric.number) + 1, np.int32),
-        fresh=np.zeros(1, np.bool_),
+    )
+    plan = CandidatePlan(
         reference=np.full((6, n), np.nan),
         motion=np.zeros((6, n)),
-        last=np.zeros((3, n)),
         spread=np.zeros((2, n)),
         unrest=np.zeros((2, n)),
-        clock=np.zeros(7),
-        span=np.zeros(1),
         listed=np.zeros((14, n)),
-        nothing=np.zeros((3, n)),
+        zeros=np.zeros((3, n)),
         ways=np.zeros((n, 8)),
+    )
+    implicit = ImplicitScratch(
         step=np.zeros(1),
         velocity=np.zeros((3, n)),
+        expected=np.zeros(places, np.bool_),
         calm=np.zeros(1, np.int64),
         frozen=np.zeros(1, np.bool_),
-        swept=np.zeros(1, np.int64),
+    )
+    bodies, skin, whole = make_bodies(solids, n if b else 0)
+    pairs, touching, friction = make_pairs(places, block_count(fabric.number), n)
+    return ContactState(
+        tree=tree,
+        surface=surface,
+        bodies=bodies,
+        skin=skin,
+        whole=whole,
+        pairs=pairs,
+        touching=touching,
+        friction=friction,
+        plan=plan,
+        implicit=implicit,
+        kept=KeptContacts(np.zeros(places, np.bool_), np.zeros((places, 4)), np.zeros((places, 3))),
+        xpbd=XpbdScratch(np.zeros((places, 4)), np.zeros(1, np.int64)),
+        last=np.zeros((3, n)),
         share=np.ones(n),
-        rate=np.zeros(n),
-        size=size_of(x, faces),
+        clock=np.zeros(7),
+        span=np.zeros(1),
+        counts=np.zeros(8, np.int64),
         so_far=np.zeros(5, np.int64),
         leave=np.zeros(1, np.int64),
     )

@@ -87,7 +87,7 @@ def share_out(m: ContactState, chosen: Int, number: int, start: Int, shared: Int
     """Assign `number` chosen pairs to the blocks of cloth of their vertices, in order: bounds of each block's, and the
     pairs.
     """
-    pair, cloth, blocks = m.pair, m.mass.shape[0] - m.local.shape[0], start.shape[0] - 1
+    pair, cloth, blocks = m.pairs.vertices, m.surface.mass.shape[0] - m.bodies.local.shape[0], start.shape[0] - 1
     at = np.zeros((PARTS, blocks), np.int64)
     count_parts(pair, chosen, number, cloth, at, PARTS, number, threads)
     total = 0
@@ -133,10 +133,10 @@ RAMP = 0.25
 
 
 class Faces(NamedTuple):
-    """The arrays of ContactState of these names."""
+    """The arrays of the tree and the surface of these names."""
 
     faces: Int
-    beside: Int
+    adjacent: Int
     ring_start: Int
     ring: Int
     first_face: Int
@@ -155,13 +155,14 @@ class Touch(NamedTuple):
 @forced_inline
 def faces_of(m: ContactState) -> Faces:
     """Return the arrays that identify features of the mesh."""
-    return Faces(m.faces, m.beside, m.ring_start, m.ring, m.first_face)
+    surface = m.surface
+    return Faces(m.tree.faces, surface.adjacent, surface.ring_start, surface.ring, surface.first_face)
 
 
 @forced_inline
 def stands_for_edge(x: Float, v: int, f: int, side: int, mesh: Faces) -> bool:
     """Whether triangle f is the one to count vertex v above its edge number `side`, to which v is closest."""
-    faces, other = mesh.faces, mesh.beside[f, side]
+    faces, other = mesh.faces, mesh.adjacent[f, side]
     if other < 0:
         return True
     i, j, k = faces[other, 0], faces[other, 1], faces[other, 2]
@@ -205,9 +206,9 @@ def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> 
 @forced_inline
 def frozen_touch(m: ContactState, p: int, corners: Corners) -> Touch:
     """Return the contact of a pair whose features are frozen; see nuno_contact.offset.separating_plane.freeze."""
-    w = (m.kept_weights[p, 0], m.kept_weights[p, 1], m.kept_weights[p, 2], m.kept_weights[p, 3])
-    n = (m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2])
-    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept[p] else math.inf)
+    w = (m.kept.weights[p, 0], m.kept.weights[p, 1], m.kept.weights[p, 2], m.kept.weights[p, 3])
+    n = (m.kept.normal[p, 0], m.kept.normal[p, 1], m.kept.normal[p, 2])
+    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept.which[p] else math.inf)
 
 
 @forced_inline
@@ -258,35 +259,38 @@ def is_fresh(m: ContactState, x: Float, v: Float) -> None:
     """Note whether x (3, n) are the vertices after the last step, whose contacts are known, but for carried ones, which
     are a step ahead. If not, and if a matrix is made, assign near pairs to blocks. Append bodies, if any.
     """
-    m.fresh[0] = m.number[NEAR] == 0 or in_place(x, m.last, m.mass)
-    if m.local.shape[0] > 0:
-        copy_part(x, m.whole, 0, x.shape[1])
-        copy_part(v, m.whole_velocity, 0, x.shape[1])
-        copy_rows(m.whole_velocity, m.velocity)
-    elif m.step[0] > 0.0:
-        copy_rows(v, m.velocity)
-    if (not m.fresh[0] or m.step[0] > 0.0) and m.number[SHARED] != m.number[CHOICES]:
-        share_out(m, m.near, m.number[NEAR], m.block_start, m.block_pair, None)
-        m.number[SHARED] = m.number[CHOICES]
+    pairs = m.pairs
+    m.touching.fresh[0] = m.counts[NEAR] == 0 or in_place(x, m.last, m.surface.mass)
+    if m.bodies.local.shape[0] > 0:
+        copy_part(x, m.whole.x, 0, x.shape[1])
+        copy_part(v, m.whole.v, 0, x.shape[1])
+        copy_rows(m.whole.v, m.implicit.velocity)
+    elif m.implicit.step[0] > 0.0:
+        copy_rows(v, m.implicit.velocity)
+    if (not m.touching.fresh[0] or m.implicit.step[0] > 0.0) and m.counts[SHARED] != m.counts[CHOICES]:
+        share_out(m, pairs.near, m.counts[NEAR], pairs.block_start, pairs.block_pair, None)
+        m.counts[SHARED] = m.counts[CHOICES]
 
 
 @kernel
 def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
-    if m.local.shape[0] > 0:
-        x, v = m.whole, m.whole_velocity
-    pair, of, reach, normal, weights, mesh = m.pair, m.of, m.reach, m.normal, m.weights, faces_of(m)
-    stiffness, damping, eased, anchor, anchored, mu, fresh, step = (
-        m.pair_stiffness, m.pair_damping, m.eased, m.anchor, m.anchored, m.pair_friction, m.fresh[0], m.step[0]
+    pairs, touching, fresh, step = m.pairs, m.touching, m.touching.fresh[0], m.implicit.step[0]
+    if m.bodies.local.shape[0] > 0:
+        x, v = m.whole.x, m.whole.v
+    pair, of, reach, normal, mesh = pairs.vertices, pairs.face, pairs.reach, pairs.normal, faces_of(m)
+    stiffness, damping, mu, weights, eased = (
+        pairs.stiffness, pairs.damping, pairs.friction, touching.weights, touching.eased
     )  # fmt: skip
-    start, chosen = (m.touch_start, m.touch_pair) if fresh else (m.block_start, m.block_pair)
-    width, frozen = force.shape[1] - PADDING, m.frozen[0]
+    anchor, anchored = m.friction.anchor, m.friction.anchored
+    start, chosen = (touching.block_start, touching.block_pair) if fresh else (pairs.block_start, pairs.block_pair)
+    width, frozen = force.shape[1] - PADDING, m.implicit.frozen[0]
     for q in range(start[block], start[block + 1]):
         p = chosen[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, h, n = corners_of(x, i, j, k, l), reach[p], (normal[p, 0], normal[p, 1], normal[p, 2])
         if fresh:
-            at = Touch((weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), n, m.distance[p])
+            at = Touch((weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), n, touching.distance[p])
         else:
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
@@ -345,10 +349,11 @@ MOST = 1.5
 
 @block_kernel
 def touch_part(part: int, m: ContactState, number: Long) -> None:
-    """Find which of a part of the close pairs touch at `last`: into m.touching from the part's first place on."""
-    pair, of, reach, normal, anchored, mesh, x = m.pair, m.of, m.reach, m.normal, m.anchored, faces_of(m), m.last
-    close, touching, weights, gap = m.close, m.touching, m.weights, m.distance
-    first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
+    """Find which of a part of the close pairs touch at `last`: into `touching.pair` from the part's first place on."""
+    pairs, anchored, mesh, x = m.pairs, m.friction.anchored, faces_of(m), m.last
+    pair, of, reach, normal = pairs.vertices, pairs.face, pairs.reach, pairs.normal
+    close, touching, weights, gap = pairs.close, m.touching.pair, m.touching.weights, m.touching.distance
+    first, end = part * m.counts[CLOSE] // PARTS, (part + 1) * m.counts[CLOSE] // PARTS
     at_end = first
     for q in range(first, end):
         p = close[q]
@@ -372,16 +377,19 @@ def touch_part(part: int, m: ContactState, number: Long) -> None:
 
 @block_kernel
 def rate_block(block: int, m: ContactState) -> None:
-    """Find the greatest rate at which dashpots slow the block's vertices down, m.rate [1/s]; see ease_part."""
-    rate, mass, first, end = m.rate, m.mass, block * BLOCK, min((block + 1) * BLOCK, m.rate.shape[0])
+    """Find the greatest rate at which dashpots slow the block's vertices down, m.touching.rate [1/s]; see ease_part."""
+    touching, pair, damping, rate, mass = (
+        m.touching, m.pairs.vertices, m.pairs.damping, m.touching.rate, m.surface.mass
+    )  # fmt: skip
+    first, end = block * BLOCK, min((block + 1) * BLOCK, rate.shape[0])
     for i in range(first, end):
         rate[i] = 0.0
-    for q in range(m.touch_start[block], m.touch_start[block + 1]):
-        p = m.touch_pair[q]
+    for q in range(touching.block_start[block], touching.block_start[block + 1]):
+        p = touching.block_pair[q]
         for corner in range(4):
-            i = m.pair[p, corner]
+            i = pair[p, corner]
             if first <= i < end and mass[i] > 0.0:
-                rate[i] += 2.0 * m.pair_damping[p] * abs(m.weights[p, corner]) / mass[i]
+                rate[i] += 2.0 * damping[p] * abs(touching.weights[p, corner]) / mass[i]
 
 
 @block_kernel
@@ -392,11 +400,11 @@ def ease_part(part: int, m: ContactState, dt: float) -> None:
     The rates at which they slow cloth down are the eigenvalues of M^-1 sum_p c_p w_p w_p^T, at most the greatest sum
     over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
     """
-    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
-        p, fastest = m.touching[q], 0.0
+    for q in range(part * m.counts[TOUCHING] // PARTS, (part + 1) * m.counts[TOUCHING] // PARTS):
+        p, fastest = m.touching.pair[q], 0.0
         for corner in range(4):
-            fastest = max(fastest, m.rate[m.pair[p, corner]])
-        m.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
+            fastest = max(fastest, m.touching.rate[m.pairs.vertices[p, corner]])
+        m.touching.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
 
 
 touch_parts = over_blocks(touch_part, "m, number", WORTH, IN_TURN)
@@ -407,33 +415,32 @@ ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
 @block_kernel
 def find_touching(m: ContactState, threads: int | None) -> None:
     """Find which close pairs touch at `last`, where, and the planes across them; others lose their anchors."""
-    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.swept[0] == 0 else 0.0
-    touch_parts(m, number, PARTS, m.number[CLOSE], threads)
-    m.number[TOUCHING] = close_up(m.touching, m.number[CLOSE], number)
-    share_out(m, m.touching, m.number[TOUCHING], m.touch_start, m.touch_pair, threads)
+    touching = m.touching
+    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.xpbd.sweeps[0] == 0 else 0.0
+    touch_parts(m, number, PARTS, m.counts[CLOSE], threads)
+    m.counts[TOUCHING] = close_up(touching.pair, m.counts[CLOSE], number)
+    share_out(m, touching.pair, m.counts[TOUCHING], touching.block_start, touching.block_pair, threads)
     if dt > 0.0:
-        rate_blocks(m, m.touch_start.shape[0] - 1, m.number[TOUCHING], threads)
-    ease_parts(m, dt, PARTS, m.number[TOUCHING], threads)
+        rate_blocks(m, touching.block_start.shape[0] - 1, m.counts[TOUCHING], threads)
+    ease_parts(m, dt, PARTS, m.counts[TOUCHING], threads)
 
 
 @block_kernel
 def drag_part(part: int, m: ContactState, v: Float) -> None:
     """Set the anchors of a part of the pairs that touch at `last` and move at v (3, n), or drag them along."""
-    pair, reach, normal, anchor, anchored, weights, eased = (
-        m.pair, m.reach, m.normal, m.anchor, m.anchored, m.weights, m.eased
-    )  # fmt: skip
-    stiffness, damping, mu, x, touching, gap = (
-        m.pair_stiffness, m.pair_damping, m.pair_friction, m.last, m.touching, m.distance
-    )  # fmt: skip
-    for q in range(part * m.number[TOUCHING] // PARTS, (part + 1) * m.number[TOUCHING] // PARTS):
+    pairs, found, x, anchor, anchored = m.pairs, m.touching, m.last, m.friction.anchor, m.friction.anchored
+    pair, reach, normal = pairs.vertices, pairs.reach, pairs.normal
+    stiffness, damping, mu = pairs.stiffness, pairs.damping, pairs.friction
+    touching, weights, gap, eased = found.pair, found.weights, found.distance, found.eased
+    for q in range(part * m.counts[TOUCHING] // PARTS, (part + 1) * m.counts[TOUCHING] // PARTS):
         p = touching[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         w, n = (weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), (normal[p, 0], normal[p, 1], normal[p, 2])
         share = 0.0
         if anchored[p]:
             a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
-            if m.swept[0] > 0 and m.kept[p]:
-                share = m.pulled[p, 3]
+            if m.xpbd.sweeps[0] > 0 and m.kept.which[p]:
+                share = m.xpbd.force[p, 3]
             else:
                 _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
                 u = weigh(w, corners_of(v, i, j, k, l))
@@ -450,4 +457,4 @@ drag_parts = over_blocks(drag_part, "m, v", WORTH, IN_TURN)
 @block_kernel
 def drag_anchors(m: ContactState, v: Float, threads: int | None) -> None:
     """Do so for all touching pairs."""
-    drag_parts(m, v, PARTS, m.number[TOUCHING], threads)
+    drag_parts(m, v, PARTS, m.counts[TOUCHING], threads)

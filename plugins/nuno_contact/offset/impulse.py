@@ -48,8 +48,9 @@ def farthest_way(v: Float, dt: float) -> float:
 @block_kernel
 def fast_part(part: int, m: ContactState, v: Float, dt: float, fast: Int, number: Long) -> None:
     """Find which of a part of the close pairs would come too near: into `fast` from the part's first place on."""
-    pair, of, reach, normal, last, close = m.pair, m.of, m.reach, m.normal, m.last, m.close
-    first, end = part * m.number[CLOSE] // PARTS, (part + 1) * m.number[CLOSE] // PARTS
+    pairs = m.pairs
+    pair, of, reach, normal, last, close = pairs.vertices, pairs.face, pairs.reach, pairs.normal, m.last, pairs.close
+    first, end = part * m.counts[CLOSE] // PARTS, (part + 1) * m.counts[CLOSE] // PARTS
     at = first
     for q in range(first, end):
         p = close[q]
@@ -68,10 +69,11 @@ fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
 @block_kernel
 def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: int | None) -> None:
     """Slow down, in v (3, n), pairs that would come nearer in the next step, of dt [s], than forces can answer."""
-    pair, of, reach, mass, last = m.pair, m.of, m.reach, m.mass, m.last
-    fast, counts = np.empty(m.number[CLOSE], np.int32), np.empty(PARTS, np.int64)
-    fast_parts(m, v, dt, fast, counts, PARTS, m.number[CLOSE], threads)
-    number = close_up(fast, m.number[CLOSE], counts)
+    pairs = m.pairs
+    pair, of, reach, mass, last = pairs.vertices, pairs.face, pairs.reach, m.surface.mass, m.last
+    fast, counts = np.empty(m.counts[CLOSE], np.int32), np.empty(PARTS, np.int64)
+    fast_parts(m, v, dt, fast, counts, PARTS, m.counts[CLOSE], threads)
+    number = close_up(fast, m.counts[CLOSE], counts)
     weights, normal, lacks, mobility = np.empty((number, 4)), np.empty((number, 3)), np.empty(number), np.zeros(number)
     for q in range(number):
         p = fast[q]
@@ -117,7 +119,7 @@ def push_cloth_ahead(m: ContactState, x: Float, v: Float, dt: float, threads: in
             mean[row, i] /= dt
     before = mean.copy()
     apply_impulses(m, mean, dt, SWEEPS[1], threads)
-    for i in range(x.shape[1] - m.local.shape[0]):
+    for i in range(x.shape[1] - m.bodies.local.shape[0]):
         for row in range(3):
             if mean[row, i] != before[row, i]:
                 x[row, i] = m.last[row, i] + dt * mean[row, i]

@@ -35,8 +35,8 @@ Six = tuple[float, float, float, float, float, float]
 
 
 @by_reference
-class Touching(NamedTuple):
-    """The matrix of each block's touching pairs, from the block's first place in ContactState.block_pair on.
+class ContactMatrix(NamedTuple):
+    """The matrix of each block's touching pairs, from the block's first place in Pairs.block_pair on.
 
     number (B,) how many they are
     which  (4 P,) their numbers in the list
@@ -50,10 +50,11 @@ class Touching(NamedTuple):
     stiff: Float
 
 
-def make_touching(m: ContactState) -> Touching:
+def make_contact_matrix(m: ContactState) -> ContactMatrix:
     """Allocate the matrix of a contact state; it takes memory as it is used."""
-    places, blocks = m.block_pair.shape[0], m.block_start.shape[0] - 1
-    return Touching(
+    pairs = m.pairs
+    places, blocks = pairs.block_pair.shape[0], pairs.block_start.shape[0] - 1
+    return ContactMatrix(
         np.zeros(blocks, np.int64), np.zeros(places, np.int32), np.zeros((places, 4)), np.zeros((places, 6))
     )
 
@@ -82,7 +83,7 @@ def spread_out(normal: float, tangent: float, slid: float, n: Vector, t: Vector)
 
 
 @forced_inline
-def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
+def write_row(rows: ContactMatrix, at: int, p: int, w: Four, s: Six) -> None:
     """Write a pair to its place."""
     rows.which[at] = p
     for corner in range(4):
@@ -93,25 +94,24 @@ def write_row(rows: Touching, at: int, p: int, w: Four, s: Six) -> None:
 
 @block_kernel
 def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
-    """Mark in m.expected the near pairs, apart at x (3, n), that touch after d (3, n) with their present closest
+    """Mark as `expected` the near pairs, apart at x (3, n), that touch after d (3, n) with their present closest
     points, and add to out (3, n) their pull as if they had touched; return whether they are others than before.
     """
-    pair, of, reach, stiffness, expected, mesh, changed = (
-        m.pair, m.of, m.reach, m.pair_stiffness, m.expected, faces_of(m), False
-    )  # fmt: skip
-    n = x.shape[1]
-    if m.local.shape[0] > 0:
-        copy_part(x, m.whole, 0, n)
-        copy_part(d, m.way, 0, n)
-        for i in range(n, m.way.shape[1]):
+    pairs = m.pairs
+    pair, of, reach, stiffness = pairs.vertices, pairs.face, pairs.reach, pairs.stiffness
+    expected, mesh, changed, n = m.implicit.expected, faces_of(m), False, x.shape[1]
+    if m.bodies.local.shape[0] > 0:
+        copy_part(x, m.whole.x, 0, n)
+        copy_part(d, m.whole.way, 0, n)
+        for i in range(n, m.whole.way.shape[1]):
             for row in range(3):
-                m.way[row, i] = m.goal[row, i] - m.whole[row, i]
-        x, d = m.whole, m.way
-    for q in range(m.number[NEAR]):
-        p = m.near[q]
+                m.whole.way[row, i] = m.whole.goal[row, i] - m.whole.x[row, i]
+        x, d = m.whole.x, m.whole.way
+    for q in range(m.counts[NEAR]):
+        p = pairs.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False
-        here = frozen_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.implicit.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         closing = dot(here.normal, weigh(here.weights, ways))
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
@@ -125,24 +125,24 @@ def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
 
 @kernel
 def fill_pairs(
-    m: ContactState, rows: Touching, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
+    m: ContactState, rows: ContactMatrix, block: int, x: Float, before: Float, rate: float, floor: float, follow: float
 ) -> None:
     """Linearise the block's pairs at x (3, n), where forces were found last, with dv/dx = `rate` [1/s]."""
-    if m.local.shape[0] > 0:
-        x = m.whole
-    pair, of, reach, normal, mesh, v = m.pair, m.of, m.reach, m.normal, faces_of(m), m.velocity
-    stiffness, damping, anchor, anchored, mu, step = (
-        m.pair_stiffness, m.pair_damping, m.anchor, m.anchored, m.pair_friction, m.step[0]
-    )  # fmt: skip
-    expected, at = m.expected, m.block_start[block]
-    for q in range(m.block_start[block], m.block_start[block + 1]):
-        p = m.block_pair[q]
+    pairs = m.pairs
+    if m.bodies.local.shape[0] > 0:
+        x = m.whole.x
+    pair, of, reach, normal, mesh = pairs.vertices, pairs.face, pairs.reach, pairs.normal, faces_of(m)
+    stiffness, damping, mu = pairs.stiffness, pairs.damping, pairs.friction
+    anchor, anchored, v, step = m.friction.anchor, m.friction.anchored, m.implicit.velocity, m.implicit.step[0]
+    expected, at = m.implicit.expected, pairs.block_start[block]
+    for q in range(pairs.block_start[block], pairs.block_start[block + 1]):
+        p = pairs.block_pair[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, h = corners_of(x, i, j, k, l), reach[p]
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h and not expected[p]:
             continue
-        here = frozen_touch(m, p, corners) if m.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.implicit.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         if expected[p] or not here.distance < h:
             if expected[p]:
                 write_row(rows, at, p, here.weights, spread_out(stiffness[p], 0.0, 0.0, here.normal, here.normal))
@@ -164,15 +164,16 @@ def fill_pairs(
             slid = tangent
         write_row(rows, at, p, here.weights, spread_out(steep, tangent, slid, n, t))
         at += 1
-    rows.number[block] = at - m.block_start[block]
+    rows.number[block] = at - pairs.block_start[block]
 
 
 @kernel
-def add_diagonal(m: ContactState, rows: Touching, block: int, origin: int, out: Float) -> None:
+def add_diagonal(m: ContactState, rows: ContactMatrix, block: int, origin: int, out: Float) -> None:
     """Add the diagonal blocks to out (6, w), whose last columns take those of other blocks."""
-    pair, which, weight, stiff = m.pair, rows.which, rows.weight, rows.stiff
+    pairs = m.pairs
+    pair, which, weight, stiff = pairs.vertices, rows.which, rows.weight, rows.stiff
     width = out.shape[1] - PADDING
-    for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
+    for q in range(pairs.block_start[block], pairs.block_start[block] + rows.number[block]):
         for corner in range(4):
             local = pair[which[q], corner] - origin
             if 0 <= local < width:
@@ -188,11 +189,12 @@ def way_of(u: Float, i: int, n: int) -> Vector:
 
 
 @kernel
-def multiply_pairs(m: ContactState, rows: Touching, block: int, origin: int, u: Float, out: Float) -> None:
+def multiply_pairs(m: ContactState, rows: ContactMatrix, block: int, origin: int, u: Float, out: Float) -> None:
     """Add the product with u (3, n) to out (3, w), whose last columns take those of other blocks. Bodies stay."""
-    pair, which, weight, s = m.pair, rows.which, rows.weight, rows.stiff
+    pairs = m.pairs
+    pair, which, weight, s = pairs.vertices, rows.which, rows.weight, rows.stiff
     width, n = out.shape[1] - PADDING, u.shape[1]
-    for q in range(m.block_start[block], m.block_start[block] + rows.number[block]):
+    for q in range(pairs.block_start[block], pairs.block_start[block] + rows.number[block]):
         p = which[q]
         w = (weight[q, 0], weight[q, 1], weight[q, 2], weight[q, 3])
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741

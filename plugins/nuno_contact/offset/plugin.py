@@ -49,10 +49,9 @@ from nuno_contact.offset.contact_state import (
     ContactState,
     Solids,
     make_contact_state,
-    tree_of,
 )
 from nuno_contact.offset.force import STEEPEST, across, add_pairs, corners_of, faces_of, find_touching, is_fresh, touch
-from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_touching, multiply_pairs
+from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_contact_matrix, multiply_pairs
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.separating_plane import restrain
@@ -64,7 +63,7 @@ from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import all_finite, copy_rows, same_rows
-from nuno_kernels.terms import register
+from nuno_kernels.terms import FrameRoles, MatrixRoles, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
 from nuno_schemas.bodies import MESH, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -99,14 +98,15 @@ def check_start(m: ContactState, fabric: Fabric, pieces: Sequence[str], objects:
     """Raise BadInput for cloth that passes through cloth or a body as it starts; bodies are the pieces after so many
     objects; pieces that do not meet may.
     """
-    x = np.ascontiguousarray(m.start.T)
-    edge, face = find_crossings(tree_of(m), x, m.piece, m.meets, objects < len(pieces))
+    surface = m.surface
+    x = np.ascontiguousarray(surface.start.T)
+    edge, face = find_crossings(m.tree, x, surface.piece, surface.meets, objects < len(pieces))
     if not len(edge):
         return
-    both = m.piece[m.edges[edge, 0]], m.piece[m.faces[face, 0]]
+    both = surface.piece[m.tree.edges[edge, 0]], surface.piece[m.tree.faces[face, 0]]
     of_cloth = np.flatnonzero((both[0] < objects) & (both[1] < objects))
     first = int(of_cloth[0]) if len(of_cloth) else 0
-    i, j = m.edges[edge[first]]
+    i, j = m.tree.edges[edge[first]]
     place = place_of(x[[i, j]].mean(axis=0))
     if len(of_cloth):
         one, other = (pieces[int(piece[first])] for piece in both)
@@ -166,21 +166,22 @@ def gaps_at_start(m: ContactState, gap: Float) -> None:
 
 def check_gaps(m: ContactState, pieces: Sequence[str]) -> None:
     """Raise BadInput for cloth that touches itself, other cloth or a body as it starts."""
-    m.reference[:3] = m.start
+    surface = m.surface
+    m.plan.reference[:3] = surface.start
     make_list(m, None)
-    gap = np.empty(int(m.number[LISTED]))
+    gap = np.empty(int(m.counts[LISTED]))
     gaps_at_start(m, gap)
     if len(close := np.flatnonzero(gap < NEAREST)):
-        i, j = m.pair[close[gap[close].argmin()], [0, 3]]
-        one, other = (pieces[k] for k in sorted((int(m.piece[i]), int(m.piece[j]))))
+        i, j = m.pairs.vertices[close[gap[close].argmin()], [0, 3]]
+        one, other = (pieces[k] for k in sorted((int(surface.piece[i]), int(surface.piece[j]))))
         raise BadInput(
             f"{one} touches {'itself' if one == other else other} where it starts "
             f"({len(close):,} pairs of vertices, edges and triangles)",
-            value=place_of(m.start[:, i]), limit=f"{NEAREST:g} m apart at least",
+            value=place_of(surface.start[:, i]), limit=f"{NEAREST:g} m apart at least",
             remedy="lay it out without layers in one plane" if one == other else "move them apart",
         )  # fmt: skip
-    m.reference[:] = np.nan
-    m.number[:] = 0
+    m.plan.reference[:] = np.nan
+    m.counts[:] = 0
 
 
 # The start of an interval: contact continues with its lists, or makes new ones if cloth was moved meanwhile.
@@ -190,37 +191,38 @@ def check_gaps(m: ContactState, pieces: Sequence[str]) -> None:
 def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) -> None:
     """Before an interval's first step from x (3, n), keep the lists, or begin anew if x is another state."""
     n, goal = x.shape[1], x
-    if m.local.shape[0] > 0:
-        goal, m.still[0] = m.goal, min(m.still[0], STANDS)
+    if m.bodies.local.shape[0] > 0:
+        goal, m.bodies.still[0] = m.whole.goal, min(m.bodies.still[0], STANDS)
         pose_solids(m, 0.0)
         copy_part(x, goal, 0, n)
     begin_whole(m, goal, same_rows(x, m.last), span, threads)
-    if m.local.shape[0] > 0:
+    if m.bodies.local.shape[0] > 0:
         find_behind(m, n)
 
 
 @block_kernel
 def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: int | None) -> None:
     """Do so for cloth and bodies together; `goes_on`: the cloth is where it was left."""
+    plan = m.plan
     clock, m.span[0] = m.clock, span
     m.share[:] = 1.0  # a resumed run lacks it
     clock[LIST_BEGUN] -= clock[NOW]
     clock[NEAR_BEGUN] -= clock[NOW]
     clock[NOW] = 0.0
-    if not (goes_on and all_finite(m.reference)):
+    if not (goes_on and all_finite(plan.reference)):
         if not all_finite(x):
             return
         copy_rows(x, m.last)
         clock[LIST_BEGUN], clock[LIST_WINDOW], clock[LIST_ROOM], clock[LAST_STEP] = 0.0, LISTS, 1.0, 0.0
-        m.unrest[:] = 0.0
-        m.anchored[:] = False
-        m.number[LISTED] = 0
-        allow(m, m.spread[1], m.unrest[1], WINDOW, LEAST[1], MOST[1])
-        set_out(m, m.nothing, 1.0, WINDOW, True, threads)
+        plan.unrest[:] = 0.0
+        m.friction.anchored[:] = False
+        m.counts[LISTED] = 0
+        allow(m, plan.spread[1], plan.unrest[1], WINDOW, LEAST[1], MOST[1])
+        set_out(m, plan.zeros, 1.0, WINDOW, True, threads)
     elif not (
-        same_rows(m.listed[:6], m.reference)
-        and same_rows(m.listed[6:12], m.motion)
-        and same_rows(m.listed[12:], m.spread)
+        same_rows(plan.listed[:6], plan.reference)
+        and same_rows(plan.listed[6:12], plan.motion)
+        and same_rows(plan.listed[12:], plan.spread)
     ):
         make_list(m, threads)
         choose_near(m, threads)
@@ -232,11 +234,12 @@ def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: 
 @block_kernel
 def renew_planes(m: ContactState) -> None:
     """Give each near pair the plane across its closest points at `last`."""
-    for q in range(m.number[NEAR]):
-        p = m.near[q]
-        corners = corners_of(m.last, m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3])
-        n, _ = unit(weigh(closest(m.of[p] < 0, corners).weights, corners))
-        m.normal[p, 0], m.normal[p, 1], m.normal[p, 2] = n
+    pairs, pair = m.pairs, m.pairs.vertices
+    for q in range(m.counts[NEAR]):
+        p = pairs.near[q]
+        corners = corners_of(m.last, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
+        n, _ = unit(weigh(closest(pairs.face[p] < 0, corners).weights, corners))
+        pairs.normal[p, 0], pairs.normal[p, 1], pairs.normal[p, 2] = n
 
 
 # The energy of contacts whose forces are in nuno_contact.offset.force.
@@ -255,19 +258,20 @@ def stored(k: float, h: float, distance: float) -> float:
 @kernel
 def measure_pairs(m: ContactState, x: Float) -> float:
     """Return the energy [J] of all contacts at x (3, n), with that of friction's springs, and bodies as they are."""
-    if m.local.shape[0] > 0:
-        copy_part(x, m.whole, 0, x.shape[1])
-        x = m.whole
-    pair, of, reach, stiffness, mesh, total = m.pair, m.of, m.reach, m.pair_stiffness, faces_of(m), 0.0
-    for q in range(m.number[NEAR]):
-        p = m.near[q]
+    pairs, friction = m.pairs, m.friction
+    if m.bodies.local.shape[0] > 0:
+        copy_part(x, m.whole.x, 0, x.shape[1])
+        x = m.whole.x
+    pair, of, reach, stiffness, mesh, total = pairs.vertices, pairs.face, pairs.reach, pairs.stiffness, faces_of(m), 0.0
+    for q in range(m.counts[NEAR]):
+        p = pairs.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners = corners_of(x, i, j, k, l)
         at = touch(x, i, of[p], corners, reach[p], mesh)
         if at.distance < reach[p]:
             total += stored(stiffness[p], reach[p], at.distance)
-            if m.anchored[p]:
-                a = (m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3])
+            if friction.anchored[p]:
+                a = (friction.anchor[p, 0], friction.anchor[p, 1], friction.anchor[p, 2], friction.anchor[p, 3])
                 e = across(weigh(a, corners), at.normal)
                 total += 0.5 * stiffness[p] * dot(e, e)
     return total
@@ -302,8 +306,8 @@ def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
 
 
 def take_step(m: ContactState, rate: float) -> None:
-    """Let forces act as at the end of steps of 1 / rate [s]; see ContactState.step."""
-    m.step[0], m.calm[0], m.frozen[0] = 1.0 / rate, 0, False
+    """Let forces act as at the end of steps of 1 / rate [s]; see ImplicitScratch.step."""
+    m.implicit.step[0], m.implicit.calm[0], m.implicit.frozen[0] = 1.0 / rate, 0, False
 
 
 def make_no_batches(m: ContactState, vertices: int) -> tuple[()]:
@@ -313,9 +317,9 @@ def make_no_batches(m: ContactState, vertices: int) -> tuple[()]:
 
 def count_contacts(m: ContactState) -> dict[str, int]:
     """Return the counts for a step's report."""
-    behind = {"body_vertices_behind": int(m.behind.sum())} if len(m.local) else {}
+    behind = {"body_vertices_behind": int(m.bodies.behind.sum())} if len(m.bodies.local) else {}
     return behind | {
-        "cloth_contacts": int(m.number[TOUCHING]),
+        "cloth_contacts": int(m.counts[TOUCHING]),
         "cut_short": int(m.so_far[CUT]),
         "held_cut_short": int(m.so_far[HELD_CUT]),
         "pairs_left_out": int(m.so_far[LEFT_OUT]),
@@ -327,71 +331,69 @@ def find_pinched(m: ContactState) -> tuple[Int, Float]:
     """Return pieces (k,) and places (k, 3) [m] of vertices that the last step has shortened, or left behind their
     bodies; and if nothing moves, while bodies pass through each other, of those there.
     """
+    surface = m.surface
     if not m.share.any():
-        meets, cloth, x = np.zeros_like(m.meets), len(m.meets) - len(m.body_law), np.ascontiguousarray(m.last.T)
-        meets[cloth:, cloth:] = ~np.eye(len(m.body_law), dtype=bool)
+        meets, cloth = np.zeros_like(surface.meets), len(surface.meets) - len(m.bodies.law)
+        x = np.ascontiguousarray(m.last.T)
+        meets[cloth:, cloth:] = ~np.eye(len(m.bodies.law), dtype=bool)
         # In separate boxes: callers may ask while the tree is in use.
-        own = {name: getattr(m, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
-        edge, face = find_crossings(tree_of(m)._replace(**own), x, m.piece, meets)
+        own = {name: getattr(m.tree, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
+        edge, face = find_crossings(m.tree._replace(**own), x, surface.piece, meets)
         if len(edge):
-            ends = np.unique(np.concatenate([m.edges[edge].ravel(), m.faces[face].ravel()]))
-            return m.piece[ends], x[ends]
+            ends = np.unique(np.concatenate([m.tree.edges[edge].ravel(), m.tree.faces[face].ravel()]))
+            return surface.piece[ends], x[ends]
     caught = m.share < 1.0
-    caught[len(caught) - len(m.behind) :] |= m.behind
-    return m.piece[caught], m.last[:, caught].T
+    caught[len(caught) - len(m.bodies.behind) :] |= m.bodies.behind
+    return surface.piece[caught], m.last[:, caught].T
 
 
 def count_cut(m: ContactState, held: Bool) -> None:
     """Count vertices (n,) that a step leaves behind."""
-    free = m.mass[: len(held)] > 0.0
+    free = m.surface.mass[: len(held)] > 0.0
     m.so_far[CUT] += int((held & free).sum())
     m.so_far[HELD_CUT] += int((held & ~free).sum())
 
 
 def act_alone(m: ContactState, body: int) -> ContactState:
     """Return the contact state in which cloth meets one of the bodies alone: all other pairs have no force."""
-    near = m.near[: m.number[NEAR]]
-    own = (m.piece[m.pair[near]] == len(m.meets) - len(m.body_law) + body).any(axis=1)
-    stiffness, damping = np.zeros_like(m.pair_stiffness), np.zeros_like(m.pair_damping)
-    stiffness[near], damping[near] = m.pair_stiffness[near] * own, m.pair_damping[near] * own
-    return m._replace(pair_stiffness=stiffness, pair_damping=damping)
+    pairs = m.pairs
+    near = pairs.near[: m.counts[NEAR]]
+    own = (m.surface.piece[pairs.vertices[near]] == len(m.surface.meets) - len(m.bodies.law) + body).any(axis=1)
+    stiffness, damping = np.zeros_like(pairs.stiffness), np.zeros_like(pairs.damping)
+    stiffness[near], damping[near] = pairs.stiffness[near] * own, pairs.damping[near] * own
+    return m._replace(pairs=pairs._replace(stiffness=stiffness, damping=damping))
 
 
 register(
     ContactState,
     name="cloth_contact",
-    memory=("anchor", "anchored", "reference", "motion", "spread", "unrest", "last", "clock", "so_far"),
+    memory=(
+        "friction.anchor",
+        "friction.anchored",
+        "plan.reference",
+        "plan.motion",
+        "plan.spread",
+        "plan.unrest",
+        "last",
+        "clock",
+        "so_far",
+    ),
     bounds=lambda term: {
-        "reference": Bounds(finite=False),
-        "spread": Bounds(0.0),
-        "unrest": Bounds(0.0),
+        "plan.reference": Bounds(finite=False),
+        "plan.spread": Bounds(0.0),
+        "plan.unrest": Bounds(0.0),
         "clock": Bounds(-2.0 * LONGEST, 2.0 * LONGEST),
         "so_far": Bounds(0),
     },
     lists=True,
     reads_velocity=lambda term: True,
-    vertices=lambda term: int(term.mass.shape[0]),
-    place=place_solids,
-    interval=set_solid_poses,
-    look=is_fresh,
-    block=add_pairs,
-    hold=limit_step,
-    begin=begin_interval,
-    approach=take_step,
-    bound=restrain,
-    waits=is_waiting,
-    cut=count_cut,
-    foresee=foresee,
-    rows=make_touching,
-    fill=fill_pairs,
-    diagonal=add_diagonal,
-    multiply=multiply_pairs,
-    constraints=make_no_batches,
-    project=project,
-    energy=measure_pairs,
-    counts=count_contacts,
-    pinched=find_pinched,
-    alone=act_alone,
+    vertices=lambda term: int(term.surface.mass.shape[0]),
+    step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step),
+    frame=FrameRoles(interval=set_solid_poses, begin=begin_interval, approach=take_step),
+    matrix=MatrixRoles(rows=make_contact_matrix, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
+    newton=NewtonRoles(bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee),
+    xpbd=XpbdRoles(constraints=make_no_batches, project=project),
+    report=ReportRoles(energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone),
 )
 
 

@@ -57,10 +57,10 @@ TURNS = 32
 @block_kernel
 def project(m: ContactState, moved: Displaced, s: float, held: Float | None, threads: int | None) -> None:
     """Solve all cloth contacts for a step that ends at fraction s, in place in `moved`."""
-    if m.local.shape[0] == 0:
+    if m.bodies.local.shape[0] == 0:
         project_whole(m, moved, s, threads)
         return
-    n, all_of = moved.x.shape[1], m.goal.shape
+    n, all_of = moved.x.shape[1], m.whole.goal.shape
     x, u, y, mobility = np.empty(all_of), np.empty(all_of), np.empty(all_of), np.zeros((1, all_of[1]))
     copy_part(moved.x, x, 0, n)
     copy_part(moved.u, u, 0, n)
@@ -70,7 +70,7 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
     copy_part(m.last, x, n, all_of[1])
     for row in range(3):
         for i in range(n, all_of[1]):
-            u[row, i] = m.goal[row, i] - x[row, i]
+            u[row, i] = m.whole.goal[row, i] - x[row, i]
     project_whole(m, Displaced(x, u, y, y, mobility, moved.inverse_step), s, threads)
     copy_part(u, moved.u, 0, n)
 
@@ -78,73 +78,85 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
 @block_kernel
 def project_whole(m: ContactState, moved: Displaced, s: float, threads: int | None) -> None:
     """Do so for cloth and bodies, which go their way."""
-    x, u, y, near = moved.x, moved.u, moved.y, m.near
+    pairs = m.pairs
+    x, u, y, near = moved.x, moved.u, moved.y, pairs.near
     for row in range(3):
         for i in range(x.shape[1]):
             y[row, i] = x[row, i] + u[row, i]
     if not all_finite(y):
         return
-    if m.swept[0] == 0:
+    if m.xpbd.sweeps[0] == 0:
         cover(m, y, s, threads)
-        for q in range(m.number[NEAR]):
-            m.kept[near[q]] = False
+        for q in range(m.counts[NEAR]):
+            m.kept.which[near[q]] = False
     gather(m, y)
     for _ in range(SWEEPS):
-        last, forth, most = m.number[CLOSE] - 1, m.swept[0] % 2 == 0, 0.0
+        last, forth, most = m.counts[CLOSE] - 1, m.xpbd.sweeps[0] % 2 == 0, 0.0
         for q in range(last + 1):
-            most = max(most, solve_pair(m, m.close[q if forth else last - q], moved))
-        m.swept[0] += 1
-        if most < SETTLED * m.law[0]:
+            most = max(most, solve_pair(m, pairs.close[q if forth else last - q], moved))
+        m.xpbd.sweeps[0] += 1
+        if most < SETTLED * m.surface.law[0]:
             break
 
 
 @block_kernel
 def gather(m: ContactState, y: Float) -> None:
     """Note as close the near pairs that touch at y (3, n), or may during the solution."""
-    pair, of, reach, normal, near, close, number = m.pair, m.of, m.reach, m.normal, m.near, m.close, 0
-    for q in range(m.number[NEAR]):
+    pairs = m.pairs
+    pair, of, reach, normal = pairs.vertices, pairs.face, pairs.reach, pairs.normal
+    near, close, number = pairs.near, pairs.close, 0
+    for q in range(m.counts[NEAR]):
         p = near[q]
         there = corners_of(y, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
         close[number] = p
-        number += 1 if m.kept[p] or low - high < 2.0 * reach[p] else 0
-    m.number[CLOSE] = number
+        number += 1 if m.kept.which[p] or low - high < 2.0 * reach[p] else 0
+    m.counts[CLOSE] = number
 
 
 @block_kernel
 def solve_pair(m: ContactState, p: int, moved: Displaced) -> float:
     """Compute a pair's force anew, and move its vertices by it; return the change of their way [m]."""
-    former, x, y, z = bool(m.kept[p]), 0.0, 0.0, 0.0
+    former, x, y, z = bool(m.kept.which[p]), 0.0, 0.0, 0.0
     if former:
-        x, y, z = m.pulled[p, 0], m.pulled[p, 1], m.pulled[p, 2]
+        x, y, z = m.xpbd.force[p, 0], m.xpbd.force[p, 1], m.xpbd.force[p, 2]
         add(m, p, moved, -1.0)
-    m.kept[p] = find_force(m, p, moved)
-    if m.kept[p]:
-        x, y, z = x - m.pulled[p, 0], y - m.pulled[p, 1], z - m.pulled[p, 2]
+    m.kept.which[p] = find_force(m, p, moved)
+    if m.kept.which[p]:
+        x, y, z = x - m.xpbd.force[p, 0], y - m.xpbd.force[p, 1], z - m.xpbd.force[p, 2]
         add(m, p, moved, 1.0)
     elif not former:
         return 0.0
     both = 0.0
     for corner in range(4):
-        w = m.kept_weights[p, corner]
-        both += w * w * moved.mobility[0, m.pair[p, corner]]
+        w = m.kept.weights[p, corner]
+        both += w * w * moved.mobility[0, m.pairs.vertices[p, corner]]
     return both * math.sqrt(x * x + y * y + z * z)
 
 
 @block_kernel
 def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
-    """Compute the force of a pair that has none, m.pulled and m.kept_weights; return whether there is any."""
-    x, u, y, mobility, inverse_step, pair = moved.x, moved.u, moved.y, moved.mobility, moved.inverse_step, m.pair
+    """Compute the force of a pair that has none, m.xpbd.force and m.kept.weights; return whether there is any."""
+    pairs, friction = m.pairs, m.friction
+    x, u, y, mobility, inverse_step, pair = (
+        moved.x,
+        moved.u,
+        moved.y,
+        moved.mobility,
+        moved.inverse_step,
+        pairs.vertices,
+    )
     i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-    h, there, n = m.reach[p], corners_of(y, i, j, k, l), (m.normal[p, 0], m.normal[p, 1], m.normal[p, 2])
-    low, high = between(m.of[p] < 0, n, there)
+    h, there = pairs.reach[p], corners_of(y, i, j, k, l)
+    n = (pairs.normal[p, 0], pairs.normal[p, 1], pairs.normal[p, 2])
+    low, high = between(pairs.face[p] < 0, n, there)
     if low - high >= h:
         return False
     here = corners_of(x, i, j, k, l)
-    at = touch(y, i, m.of[p], there, h, faces_of(m))
-    low, high = between(m.of[p] < 0, at.normal, here)
+    at = touch(y, i, pairs.face[p], there, h, faces_of(m))
+    low, high = between(pairs.face[p] < 0, at.normal, here)
     if not low > high:
-        met = encounter(m.of[p] < 0, here, there, IMPULSE_RANGE * h)
+        met = encounter(pairs.face[p] < 0, here, there, IMPULSE_RANGE * h)
         at = met if met.distance < math.inf else at
     w, n = at.weights, at.normal
     both = (
@@ -153,11 +165,11 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
     )  # fmt: skip
     if not (at.distance < h and both > 0.0):
         return False
-    stiff, rate, gone = m.pair_stiffness[p], m.pair_damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
+    stiff, rate, gone = pairs.stiffness[p], pairs.damping[p] * inverse_step, weigh(w, corners_of(u, i, j, k, l))
     ramp = min(1.0, (h - at.distance) / (RAMP * h))
     pressed = press_back(stiff, ramp * rate, h, at.distance, dot(n, gone), both)
     if at.distance + both * pressed < IMPULSE_RANGE * h:
-        before = weigh(closest(m.of[p] < 0, here).weights, here)
+        before = weigh(closest(pairs.face[p] < 0, here).weights, here)
         floor = min(IMPULSE_RANGE * h, math.sqrt(dot(before, before)))
         least = math.inf
         for corner in (i, j, k, l):
@@ -165,19 +177,22 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
         pressed = max(pressed, (floor - at.distance) / max(both, LEVER * least))
     t = across(gone, n)
     e = t
-    if m.anchored[p]:
-        e = across(weigh((m.anchor[p, 0], m.anchor[p, 1], m.anchor[p, 2], m.anchor[p, 3]), there), n)
+    if friction.anchored[p]:
+        e = across(
+            weigh((friction.anchor[p, 0], friction.anchor[p, 1], friction.anchor[p, 2], friction.anchor[p, 3]), there),
+            n,
+        )
     share = -1.0 / (1.0 + (stiff + rate) * both)
     f = (
         share * (stiff * e[0] + rate * t[0]), share * (stiff * e[1] + rate * t[1]), share * (stiff * e[2] + rate * t[2])
     )  # fmt: skip
-    size, most = math.sqrt(dot(f, f)), m.pair_friction[p] * pressed
+    size, most = math.sqrt(dot(f, f)), pairs.friction[p] * pressed
     share = most / size if size > most else 1.0
-    m.pulled[p, 3] = share
+    m.xpbd.force[p, 3] = share
     for row in range(3):
-        m.pulled[p, row] = share * f[row] + pressed * n[row]
+        m.xpbd.force[p, row] = share * f[row] + pressed * n[row]
     for corner in range(4):
-        m.kept_weights[p, corner] = w[corner]
+        m.kept.weights[p, corner] = w[corner]
     return True
 
 
@@ -186,10 +201,10 @@ def add(m: ContactState, p: int, moved: Displaced, sign: float) -> None:
     """Move a pair's vertices by its force, or back by it."""
     u, y, mobility = moved.u, moved.y, moved.mobility
     for corner in range(4):
-        v = m.pair[p, corner]
-        scale = sign * m.kept_weights[p, corner] * mobility[0, v]
+        v = m.pairs.vertices[p, corner]
+        scale = sign * m.kept.weights[p, corner] * mobility[0, v]
         for row in range(3):
-            way = scale * m.pulled[p, row]
+            way = scale * m.xpbd.force[p, row]
             u[row, v] += way
             y[row, v] += way
 

@@ -96,13 +96,14 @@ def find_shares(m: ContactState, y: Float, d: Float, stop: float) -> bool:
     demand can be met whatever the others do. Pairs left after SWEEPS over all pairs stay as they are, and so does held
     cloth; bodies do not.
     """
-    pair, of, reach, normal, share, near = m.pair, m.of, m.reach, m.normal, m.share, m.near
-    cloth = share.shape[0] - m.local.shape[0]
+    pairs = m.pairs
+    pair, of, reach, normal, share, near = pairs.vertices, pairs.face, pairs.reach, pairs.normal, m.share, pairs.near
+    cloth = share.shape[0] - m.bodies.local.shape[0]
     share[:] = 1.0
     hindered = False
     for _ in range(SWEEPS):
         again = False
-        for q in range(m.number[NEAR]):
+        for q in range(m.counts[NEAR]):
             p = near[q]
             i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
             here, of_edges = corners_of(y, i, j, k, l), of[p] < 0
@@ -129,7 +130,7 @@ def find_shares(m: ContactState, y: Float, d: Float, stop: float) -> bool:
             )
             for corner in range(4):
                 v = pair[p, corner]
-                if m.mass[v] == 0.0 and v < cloth:
+                if m.surface.mass[v] == 0.0 and v < cloth:
                     continue
                 upper = corner == 0 or (of_edges and corner == 1)
                 least = level if upper else room - level
@@ -185,9 +186,9 @@ def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None)
     """
     if not all_finite(d):
         return False
-    if m.local.shape[0] == 0:
+    if m.bodies.local.shape[0] == 0:
         return restrain_whole(m, y, d, s, threads)
-    n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
+    n, whole, way, goal = y.shape[1], m.whole.x, m.whole.way, m.whole.goal
     pose_solids(m, s)
     if same_rows(y, m.last):
         copy_part(m.last, whole, n, way.shape[1])
@@ -207,21 +208,21 @@ def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None)
 @block_kernel
 def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int | None) -> bool:
     """Do so for cloth and bodies together."""
-    lists = m.number[CHOICES]
+    lists = m.counts[CHOICES]
     cover(m, sum_rows(y, 1.0, d), s, threads)
-    shortened = m.number[LACKING] > 0
+    shortened = m.counts[LACKING] > 0
     for _ in range(SHORTER):
-        if m.number[LACKING] == 0:
+        if m.counts[LACKING] == 0:
             break
         d *= 0.25
         cover(m, sum_rows(y, 1.0, d), s, threads)
-    m.expected[:] = False
+    m.implicit.expected[:] = False
     if not find_shares(m, y, d, STOP) and not shortened:
-        m.calm[0] += 1
-        if m.calm[0] % REFREEZE == FREEZE or (m.frozen[0] and m.number[CHOICES] > lists):
+        m.implicit.calm[0] += 1
+        if m.implicit.calm[0] % REFREEZE == FREEZE or (m.implicit.frozen[0] and m.counts[CHOICES] > lists):
             freeze(m, y)
         return False
-    m.calm[0], m.frozen[0] = 0, False
+    m.implicit.calm[0], m.implicit.frozen[0] = 0, False
     for i in range(d.shape[1]):
         for row in range(3):
             d[row, i] *= m.share[i]
@@ -235,23 +236,24 @@ def freeze(m: ContactState, y: Float) -> None:
     If features change, or the set of pairs, forces jump, and Newton's method may alternate between the two.
     Frozen contacts are as smooth as springs.
     """
+    pairs = m.pairs
     mesh = faces_of(m)
-    m.kept[: m.number[LISTED]] = False
-    for q in range(m.number[NEAR]):
-        p = m.near[q]
-        i, j, k, l = m.pair[p, 0], m.pair[p, 1], m.pair[p, 2], m.pair[p, 3]  # noqa: E741
-        at = touch(y, i, m.of[p], corners_of(y, i, j, k, l), FROZEN_WITHIN * m.reach[p], mesh)
-        m.kept[p] = at.distance < FROZEN_WITHIN * m.reach[p]
-        m.kept_normal[p, 0], m.kept_normal[p, 1], m.kept_normal[p, 2] = at.normal
+    m.kept.which[: m.counts[LISTED]] = False
+    for q in range(m.counts[NEAR]):
+        p = pairs.near[q]
+        i, j, k, l = pairs.vertices[p, 0], pairs.vertices[p, 1], pairs.vertices[p, 2], pairs.vertices[p, 3]  # noqa: E741
+        at = touch(y, i, pairs.face[p], corners_of(y, i, j, k, l), FROZEN_WITHIN * pairs.reach[p], mesh)
+        m.kept.which[p] = at.distance < FROZEN_WITHIN * pairs.reach[p]
+        m.kept.normal[p, 0], m.kept.normal[p, 1], m.kept.normal[p, 2] = at.normal
         for corner in range(4):
-            m.kept_weights[p, corner] = at.weights[corner]
-    m.frozen[0] = True
+            m.kept.weights[p, corner] = at.weights[corner]
+    m.implicit.frozen[0] = True
 
 
 @block_kernel
 def cover(m: ContactState, end: Float, s: float, threads: int | None) -> None:
     """Make lists for a step from `last` to `end` (3, n) and its surroundings."""
-    clock, last, spread = m.clock, m.last, m.spread[1]
+    clock, last, spread = m.clock, m.last, m.plan.spread[1]
     renew = not holds(m, LIST, end, s, 0.0)
     if not renew and holds(m, CHOSEN, end, s, 0.0):
         return
@@ -259,10 +261,10 @@ def cover(m: ContactState, end: Float, s: float, threads: int | None) -> None:
     if gone > 0.0:
         learn(m, 1, last, gone, gone / clock[NEAR_WINDOW])
     window = max(way, WINDOW)
-    allow(m, spread, m.unrest[1], window, LEAST[1], MOST[1])
+    allow(m, spread, m.plan.unrest[1], window, LEAST[1], MOST[1])
     for i in range(end.shape[1]):
         a, b, c = end[0, i] - last[0, i], end[1, i] - last[1, i], end[2, i] - last[2, i]
-        spread[i] = max(spread[i], min(MOST[1] * m.law[0], np.sqrt(a * a + b * b + c * c)))
+        spread[i] = max(spread[i], min(MOST[1] * m.surface.law[0], np.sqrt(a * a + b * b + c * c)))
     left_out = m.so_far[LEFT_OUT]
     set_out(m, sum_rows(end, -1.0, last), way, window, renew, threads)
     m.so_far[LEFT_OUT] = left_out  # The number of steps counts only committed ones.

@@ -9,6 +9,7 @@ import numpy as np
 from nuno_geometry.normals import edge_numbers
 from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.compile.reference import by_reference
 from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load, lower, splat
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
@@ -27,7 +28,8 @@ LEAF = 8
 """triangles of a leaf at most"""
 
 
-class Tree(NamedTuple):
+@by_reference
+class MovingTree(NamedTuple):
     """Of f triangles, e edges and n vertices: a complete binary tree of M leaves, M a power of two; node k has the
     children 2 k + 1 and 2 k + 2, the leaves are the last M nodes.
 
@@ -54,7 +56,7 @@ class Tree(NamedTuple):
     vertex_boxes: Float
 
 
-def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
+def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> MovingTree:
     """Return the tree of faces (f, 3) between vertices x (n, 3); those after the first `of_cloth` are of bodies."""
     numbers, edges = edge_numbers(faces)
     centre = x[faces].mean(axis=1)
@@ -73,7 +75,7 @@ def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> Tree:
     vertex_start, vertex = _in_eights(*_owned(leaf_of.repeat(3), faces.ravel(), leaves))
     rooms = [np.empty((len(eights), 12 * WIDTH)) for eights in (face, edge, vertex)]
     faces, vertices = np.ascontiguousarray(faces, np.int32), np.arange(len(x), dtype=np.int32)[:, None]
-    return Tree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
+    return MovingTree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
 
 
 def adjacent_faces(faces: Int) -> Int:
@@ -153,7 +155,7 @@ def fit_boxes(eights: Int, of: Int, x: Float, motion: Float, spread: Float, boxe
 
 
 @block_kernel
-def fit_tree(tree: Tree, x: Float, motion: Float, spread: Float) -> None:
+def fit_tree(tree: MovingTree, x: Float, motion: Float, spread: Float) -> None:
     """Fit the boxes to vertices x (3, n), each within spread (n,) [m], that go motion (3, n) from there."""
     boxes, face_start, face_boxes = tree.boxes, tree.face_start, tree.face_boxes
     fit_boxes(tree.face, tree.faces, x, motion, spread, face_boxes)
@@ -307,7 +309,7 @@ def meet_eights(
 
 
 @forced_inline
-def find_faces(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
+def find_faces(a: int, b: int, tree: MovingTree, radius: float, hits: Long, found: Long, number: int) -> int:
     """Write vertices of leaf a and triangles of leaf b whose boxes come near into found (c, 2) from `number` on."""
     faces, face, vertex, node = tree.faces, tree.face, tree.vertex, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
     met = meet_eights(node, tree.vertex_boxes, tree.vertex_start, tree.face_boxes, tree.face_start, a, b, radius, hits)
@@ -323,7 +325,7 @@ def find_faces(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Lon
 
 
 @forced_inline
-def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Long, number: int) -> int:
+def find_edges(a: int, b: int, tree: MovingTree, radius: float, hits: Long, found: Long, number: int) -> int:
     """Write edges e < o of two leaves likewise, as -1 - e and o."""
     edges, edge, node = tree.edges, tree.edge, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
     met = meet_eights(node, tree.edge_boxes, tree.edge_start, tree.edge_boxes, tree.edge_start, a, b, radius, hits)
@@ -341,7 +343,7 @@ def find_edges(a: int, b: int, tree: Tree, radius: float, hits: Long, found: Lon
 
 
 @block_kernel
-def find_near(tree: Tree, radius: float, leaves: Long, found: Long) -> int:
+def find_near(tree: MovingTree, radius: float, leaves: Long, found: Long) -> int:
     """Write primitives of pairs (p, 2) of leaves whose boxes come near: see find_faces and find_edges. One kind after
     the other, so that loops over them are predictable.
     """

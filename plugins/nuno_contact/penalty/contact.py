@@ -59,7 +59,7 @@ from nuno_contact.penalty.distance import (  # fmt: skip
 )
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.terms import over_blocks, register
+from nuno_kernels.terms import FrameRoles, ReportRoles, StepRoles, XpbdRoles, over_blocks, register
 from nuno_schemas.bodies import DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
@@ -122,7 +122,7 @@ def pose_bodies(s: float, contact: Contact) -> None:
 # tuple counts a reference, atomically, each time round, wherever the compiler cannot tell that it need not.
 
 
-class Touch(NamedTuple):
+class BodyContact(NamedTuple):
     """Contact data of n vertices and one body: the rows of Contact's arrays of these names for it."""
 
     stiffness: Float
@@ -152,9 +152,9 @@ class Response(NamedTuple):
 
 
 @forced_inline
-def touch_of(contact: Contact, body: int, rate: float) -> Touch:
+def body_contact(contact: Contact, body: int, rate: float) -> BodyContact:
     """Return the contact data of one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
-    return Touch(
+    return BodyContact(
         contact.stiffness[body], contact.damping[body], contact.friction[body], rate, contact.deepest[body],
         contact.anchor[body], contact.anchor_frame[body],
     )  # fmt: skip
@@ -199,7 +199,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
 
 
 @forced_inline
-def respond(x: Float, v: Float, i: Index, touch: Touch, bodies: Bodies, fields: Fields | None) -> Response:
+def respond(x: Float, v: Float, i: Index, touch: BodyContact, bodies: Bodies, fields: Fields | None) -> Response:
     """Return the contact of vertex i, of positions and velocities x, v (3, n), with its deepest primitive.
 
     The dashpot sees an approach of depth times `rate` [1/s] at most: see Contact.rate.
@@ -244,7 +244,7 @@ def limit_friction(response: Response, friction: Vector, push: float, limit: flo
 
 
 @forced_inline
-def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: Touch, bodies: Bodies) -> None:
+def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: BodyContact, bodies: Bodies) -> None:
     """Place the anchor of a touching vertex after a step: unchanged while it sticks, else dragged along until the
     spring's force is `limit` [N].
     """
@@ -265,7 +265,7 @@ def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: To
 
 @kernel
 def add_body(
-    x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None, force: Float
+    x: Float, v: Float, low: int, high: int, touch: BodyContact, bodies: Bodies, fields: Fields | None, force: Float
 ) -> int:
     """Add one body's force [N] on vertices [low, high); return how many lay on a capsule's axis."""
     on_axis, deepest, stiffness, damping = 0, touch.deepest, touch.stiffness, touch.damping
@@ -283,7 +283,9 @@ def add_body(
 
 
 @kernel
-def commit_body(x: Float, v: Float, low: int, high: int, touch: Touch, bodies: Bodies, fields: Fields | None) -> int:
+def commit_body(
+    x: Float, v: Float, low: int, high: int, touch: BodyContact, bodies: Bodies, fields: Fields | None
+) -> int:
     """Set, drag along or drop the anchors of vertices [low, high); return how many touch."""
     touching, deepest, anchor_frame = 0, touch.deepest, touch.anchor_frame
     for i in range(np.uint64(low), np.uint64(high)):
@@ -384,7 +386,7 @@ def add_block(block: int, x: Float, v: Float, contact: Contact, force: Float) ->
     bodies, fields = bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if find_deepest(x, low, high, block, body, contact, fields):
-            on_axis = add_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields, force)
+            on_axis = add_body(x, v, low, high, body_contact(contact, body, contact.rate[0]), bodies, fields, force)
             contact.tally[block, 1] += on_axis
 
 
@@ -395,7 +397,7 @@ def commit_block(block: int, x: Float, v: Float, contact: Contact) -> None:
     touching, anchor_frame, bodies, fields = 0, contact.anchor_frame, bodies_of(contact), contact.fields
     for body in range(contact.friction.shape[0]):
         if contact.near[body, block]:
-            touching += commit_body(x, v, low, high, touch_of(contact, body, contact.rate[0]), bodies, fields)
+            touching += commit_body(x, v, low, high, body_contact(contact, body, contact.rate[0]), bodies, fields)
         else:
             for i in range(low, high):
                 anchor_frame[body, i] = -1
@@ -440,15 +442,12 @@ def act_alone(contact: Contact, body: int) -> Contact:
 register(
     Contact,
     name="contact",
-    after=add_contact,
-    settle=commit_contact,
-    interval=set_poses,
-    approach=limit_approach,
-    alone=act_alone,
-    project="nuno_contact.penalty.projection:project",
-    counts=count_contacts,
     memory=("anchor", "anchor_frame"),
     bounds=lambda term: {"anchor_frame": Bounds(-1, len(term.origin0) - 1)},
+    step=StepRoles(after=add_contact, settle=commit_contact),
+    frame=FrameRoles(interval=set_poses, approach=limit_approach),
+    xpbd=XpbdRoles(project="nuno_contact.penalty.projection:project"),
+    report=ReportRoles(alone=act_alone, counts=count_contacts),
 )
 
 

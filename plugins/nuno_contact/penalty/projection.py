@@ -24,15 +24,15 @@ import numpy as np
 from nuno_contact.fields.sample import Fields
 from nuno_contact.penalty.contact import (
     BLOCK,
+    BodyContact,
     Contact,
-    Touch,
     bodies_of,
+    body_contact,
     find_deepest,
     limit_friction,
     pose_bodies,
     respond,
     rub,
-    touch_of,
 )  # fmt: skip
 from nuno_contact.penalty.distance import Bodies, find_bounds
 from nuno_kernels import block_kernel, kernel
@@ -55,7 +55,7 @@ def place_block(low: int, high: int, moved: Displaced, held: Float | None) -> No
 
 @kernel
 def push_body(
-    low: int, high: int, moved: Displaced, held: Float | None, touch: Touch, bodies: Bodies, fields: Fields | None
+    low: int, high: int, moved: Displaced, held: Float | None, touch: BodyContact, bodies: Bodies, fields: Fields | None
 ) -> int:
     """Solve one body's contact with vertices [low, high); return how many lay on a capsule's axis."""
     u, y, w, mobility, inverse_step = moved.u, moved.y, moved.w, moved.mobility, moved.inverse_step
@@ -93,7 +93,7 @@ def push_block(block: int, contact: Contact, moved: Displaced, held: Float | Non
     find_bounds(y, low, high, contact.bounds, block)
     for body in range(contact.friction.shape[0]):
         if find_deepest(y, low, high, block, body, contact, fields):
-            on_axis = push_body(low, high, moved, held, touch_of(contact, body, moved.inverse_step), bodies, fields)
+            on_axis = push_body(low, high, moved, held, body_contact(contact, body, moved.inverse_step), bodies, fields)
             contact.tally[block, 1] += on_axis
 
 

@@ -23,7 +23,7 @@ from nuno_schemas.system import Term
 # Bodies that vertices slide on, in the layout of nuno_contact.sliding.slides.
 
 
-class Slid(NamedTuple):
+class SlidingBody(NamedTuple):
     """A body that vertices slide on: its tree, the frame that carries it, Coulomb's coefficient, the gap [m]."""
 
     tree: Tree
@@ -32,7 +32,7 @@ class Slid(NamedTuple):
     gap: float
 
 
-def make_slides(bodies: Sequence[Slid], frames: int, mass: Float) -> Slides:
+def make_slides(bodies: Sequence[SlidingBody], frames: int, mass: Float) -> Slides:
     """Return the slides of bodies at rest, on some of so many `frames`; mass (n,) [kg], 0 for vertices left alone."""
     trees = [body.tree for body in bodies]
     n, b = len(mass), len(trees)
@@ -117,7 +117,7 @@ class Sliding:
             if not 0.0 <= friction < np.inf:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
         parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
-        bodies = [Slid(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
+        bodies = [SlidingBody(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
         slides = make_slides(bodies, len(geometry.frames), np.where(fabric.pinned, 0.0, fabric.mass))
         return Term(name="slides", data=(slides,))
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.tree import Tree, fit_tree, make_tree
+from nuno_contact.offset.tree import MovingTree, fit_tree, make_tree
 from nuno_geometry.normals import edge_numbers
 from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -43,7 +43,7 @@ class Cloth(NamedTuple):
     bodies  the piece that bodies are, -1 where there are none
     """
 
-    tree: Tree
+    tree: MovingTree
     side_start: Long
     side: Long
     ring_start: Long
@@ -98,7 +98,7 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: 
     )  # fmt: skip
 
 
-def fit(tree: Tree, x: Float) -> Float:
+def fit(tree: MovingTree, x: Float) -> Float:
     """Fit a tree to vertices x (n, 3); return them as (3, n)."""
     rows = np.ascontiguousarray(x.T)
     fit_tree(tree, rows, np.zeros_like(rows), np.zeros(len(x)))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.tree import HITS, Tree, find_near, less, meet_eights, near_leaves, node_box
+from nuno_contact.offset.tree import HITS, MovingTree, find_near, less, meet_eights, near_leaves, node_box
 from nuno_contact.untangle.contours import Cloth, Long, fit
 from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
@@ -57,7 +57,7 @@ def touches(edge: Float, triangle: Float) -> bool:
 
 
 @block_kernel
-def find_through(x: Float, tree: Tree, piece: Int, meets: Bool, bodies: bool, found: Long) -> int:
+def find_through(x: Float, tree: MovingTree, piece: Int, meets: Bool, bodies: bool, found: Long) -> int:
     """Write edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there
     is room; return their number.
     """
@@ -98,7 +98,7 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
     return rows, number
 
 
-def find_crossings(tree: Tree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
+def find_crossings(tree: MovingTree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
     """Return edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
     fit(tree, x)
     found, number = with_room(lambda rows: find_through(x, tree, piece, meets, bodies, rows), len(tree.faces))
@@ -161,7 +161,7 @@ class Room(NamedTuple):
 
 
 @block_kernel
-def measure_near(x: Float, tree: Tree, gaps: Gaps, found: Long, number: int, room: Room) -> int:
+def measure_near(x: Float, tree: MovingTree, gaps: Gaps, found: Long, number: int, room: Room) -> int:
     """Write pairs among `number` found that are too near into `room`; count them.
 
     Tangled pairs and those of two objects need the gap; others have been near from the start.

@@ -54,7 +54,7 @@ def compile_factor(a: Linear) -> None:
     none = np.zeros(0, np.int64)
     empty = Elements(none, *np.zeros((3, 1, 0), np.int64))
     elements = tuple(
-        None if rows is None or role_of(type(term), "assemble") is None else empty
+        None if rows is None or role_of(type(term), "matrix.assemble") is None else empty
         for term, rows in zip(a.forces, a.rows, strict=True)
     )
     factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, elements), a.own.shape[1])
@@ -238,7 +238,7 @@ def factorise(factor: Factor, a: Linear) -> bool:
     factor.diagonal[...] = a.own
     for term, rows, places in zip(a.forces, a.rows, plan.elements, strict=True):
         if places is not None:
-            role_of(type(term), "assemble")(rows, places, factor.diagonal, factor.values)
+            role_of(type(term), "matrix.assemble")(rows, places, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)
     return bool(factorise_fronts(plan.fronts, factor.values, factor.scratch))
 

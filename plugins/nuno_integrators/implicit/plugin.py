@@ -94,7 +94,7 @@ class Implicit(Compiled):
         python = any(term.in_python for term in system.terms)
         stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
         x, v = np.empty((2, 3, n))
-        limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "grip"))
+        limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "newton.grip"))
         return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, limits, grips)
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
@@ -104,7 +104,7 @@ class Implicit(Compiled):
 
     def about(self, system: System) -> str:
         """Describe the threads, and which forces have no matrix of their own in Newton's method."""
-        names = lacking(system.terms, "rows")
+        names = lacking(system.terms, "matrix.rows")
         by_differences = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
         return super().about(system) + by_differences
 

@@ -1,9 +1,10 @@
 """Named tuples of arrays that kernels pass by reference.
 
-numba passes a named tuple item by item, and each array as its pointer, shape and strides: of cloth contact's sixty
+numba passes a named tuple item by item, and each array as its pointer, shape and strides: of cloth contact's ninety
 arrays more than five hundred numbers at every call, a third of the time to compile contact, and a tenth of its steps. A
 tuple of a class that is registered here stays in the memory of the kernel that Python called, and others get its
-address; an array is loaded where it is used. Threads can get it as well, unlike a tuple of tuples.
+address; an array is loaded where it is used. Threads can get it as well, unlike a tuple of tuples. A field of such a
+class is kept as its address, so that a tuple of many arrays can be parted into tuples with names.
 
 A tuple that a kernel itself makes of such a class is numba's tuple, as ever.
 """

@@ -37,7 +37,7 @@ from nuno_kernels.step.blocks import (
     is_small,
     list_copies,
 )
-from nuno_kernels.terms import register
+from nuno_kernels.terms import MatrixRoles, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 # Damped springs: f_i += (k (|d| - L) + c (v_j - v_i).d^) d^ and the reverse on j, d = x_j - x_i.
@@ -242,19 +242,23 @@ for _kind, _add, _layout in ((SpringRuns, add_runs, "runs"), (SpringLists, add_l
     register(
         _kind,
         name="springs",
-        block=_add,
         reads_velocity=damps,
-        energy=f"nuno_kernels.forces.energy:measure_spring_{_layout}",
-        tension=f"nuno_kernels.forces.springs:tension_of_{_layout}",
-        turning=f"nuno_kernels.forces.springs:turning_of_{_layout}",
-        stiffest="nuno_kernels.forces.springs:stiffest",
-        rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
-        elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
-        constraints=f"nuno_kernels.forces.constraints:constraints_of_spring_{_layout}",
-        fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
-        diagonal=f"nuno_kernels.forces.linear:sum_spring_{_layout}",
-        multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",
-        assemble="nuno_kernels.forces.linear:assemble_springs",
+        step=StepRoles(block=_add),
+        matrix=MatrixRoles(
+            rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
+            elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
+            fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
+            diagonal=f"nuno_kernels.forces.linear:sum_spring_{_layout}",
+            multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",
+            assemble="nuno_kernels.forces.linear:assemble_springs",
+        ),
+        newton=NewtonRoles(
+            tension=f"nuno_kernels.forces.springs:tension_of_{_layout}",
+            turning=f"nuno_kernels.forces.springs:turning_of_{_layout}",
+            stiffest="nuno_kernels.forces.springs:stiffest",
+        ),
+        xpbd=XpbdRoles(constraints=f"nuno_kernels.forces.constraints:constraints_of_spring_{_layout}"),
+        report=ReportRoles(energy=f"nuno_kernels.forces.energy:measure_spring_{_layout}"),
     )
 
 

@@ -18,13 +18,13 @@ from nuno_kernels.step.blocks import BLOCK, PADDING, Long
 from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
-add_blocks = each("block", "block, origin, x, v, force")
-place = each("place", "x, v, s")
-look_at = each("look", "x, v")
-add_after = each("after", "x, v, s, a, threads")
-settle_bodies = each("settle", "x, v, s, threads")
-hold_bodies = each("hold", "x, v, s, threads")
-slow_bodies = each("slow", "x, v, threads")
+add_blocks = each("step.block", "block, origin, x, v, force")
+place = each("step.place", "x, v, s")
+look_at = each("step.look", "x, v")
+add_after = each("step.after", "x, v, s, a, threads")
+settle_bodies = each("step.settle", "x, v, s, threads")
+hold_bodies = each("step.hold", "x, v, s, threads")
+slow_bodies = each("step.slow", "x, v, threads")
 
 
 Extra = Callable[[Float, Float, float, Float], None] | None
