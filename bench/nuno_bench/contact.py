@@ -155,7 +155,7 @@ BY: Mapping[str, Callable[[PileOutcome], Sequence[str]]] = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def contact_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("seeds", nargs="*", type=int, metavar="SEED", help="of the scenes (default: 1 to --count)")
     options.add_count(parser, "--count", "scenes, where no seed is given (default: %(default)s)", 200)
     options.add_seconds(parser, "--duration", 0.5, "of each scene; a shorter run shows its beginning")
@@ -163,7 +163,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--resume", "--out", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def contact_command(args: argparse.Namespace) -> int:
     """Run the scenes, print tables; 1 where cloth passed through cloth, or a scene could not be run."""
     if any(seed < 0 for seed in args.seeds):
         raise BadInput("a seed is not negative", field="SEED", value=min(args.seeds), limit="0 and more")

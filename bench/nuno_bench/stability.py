@@ -359,13 +359,13 @@ MARKS = {"damped away": "v", "drifting": "o", "diverged": "X", "refused": "_", "
 """Of classes that are not square."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def stability_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_seconds(parser, "--budget", 180.0, "wall time for each scene")
     add_executor_arguments(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def stability_command(args: argparse.Namespace) -> int:
     """Map each scene, print the counts, write page, CSV and JSON. A run that diverges is a result."""
     plots.require_drawing(args.rrd)
     tabs = dict[str, list[plots.Panel]]()

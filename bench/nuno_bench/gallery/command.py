@@ -29,7 +29,7 @@ ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 NEEDED = "--patterns, --body"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def gallery_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
                         "figures of the dye paper; knit, all knits; sewn, garments from patterns; "
                         "wrinkle, lines drawn on cloth")  # fmt: skip
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pattern_arguments(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def gallery_command(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
     check_patterns(args)
     kind, section = KINDS[args.kind], f"gallery {args.kind}"

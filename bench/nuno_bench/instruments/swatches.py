@@ -38,15 +38,15 @@ class Swatch(NamedTuple):
     nodes: int
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    presets.add_arguments(parser)
+def fabrics_arguments(parser: argparse.ArgumentParser) -> None:
+    presets.presets_arguments(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page: a swatch of each, its measures, and "
                         "where they come from")  # fmt: skip
 
 
-def main(args: argparse.Namespace) -> int:
+def fabrics_command(args: argparse.Namespace) -> int:
     if args.page is None:
-        return presets.main(args)
+        return presets.presets_command(args)
     others, chosen, swatches = machine.OtherLoad(), presets.choose(args.command, args.names), list[Swatch]()
     for i, preset in enumerate(chosen):
         print(f"{preset.name}, {i + 1} of {len(chosen)}", file=sys.stderr, flush=True)

@@ -81,7 +81,7 @@ class DeliveredAccuracy:
                 f"{self.until:.3g}", f"{self.seconds:.3g}", self.verdict]  # fmt: skip
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def accuracy_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: ten shipped scenes, and random ones")
     named = "of this solver the step alone is chosen (default: auto, whatever a scene names: the solver, too)"
     parser.add_argument("--solver", default="auto", metavar="NAME", help=named)
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--out", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def accuracy_command(args: argparse.Namespace) -> int:
     """The table of all scenes and levels; 1 where an error is more than may be delivered."""
     levels = options.names_of(args.levels)
     options.require_known(levels, PROMISE, "level", "--levels")

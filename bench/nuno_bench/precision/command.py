@@ -333,7 +333,7 @@ def report(found: Findings) -> Report:
     return Report(f"Error over wall time: {found.scene}", lead, sections, found.about, data, brief, rows)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def precision_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_count(parser, "--repeats", "timed runs of each point (default: %(default)s)", 3)
     budget = "for a scene's sweep; finer points that would exceed it are left out"
@@ -343,7 +343,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {known}")
 
 
-def main(args: argparse.Namespace) -> int:
+def precision_command(args: argparse.Namespace) -> int:
     """Sweep each scene; 1 where a reference could judge nothing. A solver that diverges is a result."""
     failed, panels = False, dict[str, list[plots.Panel]]()
     for one in _check(args):

@@ -48,7 +48,7 @@ from nuno_bench.sweep.storage import require_kept
 # `nuno sweep`: a scene run for each combination of values of its fields.
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--over", action="append", default=[], metavar="KEY=A,B,...",
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: recordings/sweep/SCENE)")  # fmt: skip
 
 
-def main(args: argparse.Namespace) -> int:
+def sweep_command(args: argparse.Namespace) -> int:
     """Run all combinations and print the table; return 1 if any of them was not finished."""
     over = dict[str, list[Any]]()
     for key, values in map(values_of, args.over):

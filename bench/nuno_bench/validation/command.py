@@ -159,14 +159,14 @@ LEAD = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def validate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
     options.add_shared(parser, "--solvers", "--json", "--html", "--docs")
     add_executor_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 
-def main(args: argparse.Namespace) -> int:
+def validate_command(args: argparse.Namespace) -> int:
     """Run the cases, print the table; the exit code is 1 where a solver failed one."""
     parts = choose_parts(args.cases, options.names_of(args.solvers))
     if args.list:

@@ -54,7 +54,7 @@ COMMANDS = {
     "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }
-"""Module and summary of each command; a module has `add_arguments(parser)` and `main(args)`.
+"""Module and summary of each command; a module has `NAME_arguments(parser)` and `NAME_command(args)` for it.
 It is imported only when its command is given, so that `nuno run` does not pay for the rest."""
 
 
@@ -127,7 +127,7 @@ def _dispatch(arguments: list[str]) -> int:
             problem = "a name is not UTF-8, which recordings and messages are written in"
             raise BadInput(problem, value=text, remedy="rename the file or folder") from None
     module, parser = parser_of(arguments[0])
-    return int(module.main(parser.parse_args(arguments[1:])))
+    return int(getattr(module, f"{arguments[0]}_command")(parser.parse_args(arguments[1:])))
 
 
 def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
@@ -142,7 +142,7 @@ def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=name)
-    module.add_arguments(parser)
+    getattr(module, f"{name}_arguments")(parser)
     return module, parser
 
 

@@ -11,7 +11,7 @@ from nuno.bus.credentials_folder import Kept
 HOSTS = "localhost,127.0.0.1"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def certs_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="where they lie, readable by you only")
     parser.add_argument(
         "--hosts",
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--check", action="store_true", help="make none: name what has expired or does not fit")
 
 
-def main(args: argparse.Namespace) -> int:
+def certs_command(args: argparse.Namespace) -> int:
     if args.check:
         kept = credentials_folder.check(args.folder)
     else:

@@ -21,7 +21,7 @@ NEEDS = {
 """Required argument of an action, and an example."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def control_arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser, needed=True)
     parser.add_argument("action", choices=ACTIONS, help="what the run is to do, or is asked")
     parser.add_argument(
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def main(args: argparse.Namespace) -> int:
+def control_command(args: argparse.Namespace) -> int:
     run, endpoint = find_run(args)
     request: dict[str, object] = {"action": args.action}
     if args.action in NEEDS:

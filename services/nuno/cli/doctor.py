@@ -39,11 +39,11 @@ class Row:
     remedy: str = ""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     del parser
 
 
-def main(args: argparse.Namespace) -> int:
+def doctor_command(args: argparse.Namespace) -> int:
     """Print a line for each check; return 1 if no run would work."""
     del args
     checks = (_machine, _memory, _kernels, _bus, _rerun, _mp4, _screen, _disk)

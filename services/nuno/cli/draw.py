@@ -20,13 +20,13 @@ from nuno.studio.live_view.sources import see_scene
 from nuno_schemas.errors import BadInput
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def draw_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the page's address, and open nothing")
     add_config(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def draw_command(args: argparse.Namespace) -> int:
     desk, place = open_desk(args)
     return serve(desk, "draw", place, not args.no_browser)
 

@@ -15,7 +15,7 @@ from nuno.runtime import runs
 from nuno_schemas.dyeing import DyeView, Form
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="RECORDING", help="a file, or last")
     what = parser.add_argument_group("what to write (any number of these)")
     add_flags(what, {f"--{name}": ("FILE", text, Path) for name, text in FILES.items()})
@@ -69,7 +69,7 @@ def _add_drawn(drawn: argparse._ArgumentGroup) -> None:
     add_set(drawn, camera + dye + "yarns are, e.g. view.yarns.radius=0.1mm")
 
 
-def main(args: argparse.Namespace) -> int:
+def export_command(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         request = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})

@@ -13,7 +13,7 @@ from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
 from nuno_schemas.preset import Imported
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def fabric_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=["import"], help="read a laboratory's sheet")
     parser.add_argument(
         "sheet", type=Path, metavar="FILE",
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the fabric as YAML, for a scene")
 
 
-def main(args: argparse.Namespace) -> int:
+def fabric_command(args: argparse.Namespace) -> int:
     fabric, head = import_sheet(args.sheet, args.like)
     text = as_yaml(fabric, head)
     print("\n".join([table(fabric), "", *origins(left_out(fabric))]))

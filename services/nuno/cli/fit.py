@@ -21,7 +21,7 @@ SEAMS = 8
 """Most seams in the text, those with the largest pull."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument(
         "--at", action="append", default=[], metavar="NAME=HEIGHT",
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the same for a program, in SI units")
 
 
-def main(args: argparse.Namespace) -> int:
+def fit_command(args: argparse.Namespace) -> int:
     heights = dict(_height(item) for item in args.at)
     with open_recording(runs.find_recording(args.recording)) as recording:
         fits = read_fits(recording, args.frame, args.body, heights)

@@ -16,12 +16,12 @@ from nuno.runtime.intersections import find_nearest, find_spells, spell_rows
 from nuno_schemas.messages import FRAMES
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def info_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument("--json", action="store_true", help="the same for a program, as one JSON object")
 
 
-def main(args: argparse.Namespace) -> int:
+def info_command(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         lacks = find_lacks(recording)
         if args.json:

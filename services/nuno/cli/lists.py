@@ -18,41 +18,42 @@ REFERENCES = {
 """Generated pages of the documentation, each by `describe_NAME` of a module."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    if parser.get_default("command") == "plugins":
-        parser.add_argument("group", nargs="?", help="only this kind, e.g. nuno.integrators")
-    elif parser.get_default("command") == "scenes":
-        parser.add_argument("--paths", action="store_true", help="print where they are")
-    else:
-        for name, (_, what) in REFERENCES.items():
-            parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
+def plugins_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("group", nargs="?", help="only this kind, e.g. nuno.integrators")
 
 
-def main(args: argparse.Namespace) -> int:
-    if args.command == "plugins":
-        _list_plugins(args.group)
-    elif args.command == "scenes":
-        _list_scenes(args.paths)
-    elif name := next((name for name in REFERENCES if getattr(args, name)), ""):
+def plugins_command(args: argparse.Namespace) -> int:
+    """Print the plugins without importing any."""
+    for group, meaning in GROUPS.items():
+        if args.group in (None, group, group.removeprefix("nuno.")):
+            print(f"{group}  ({meaning})")
+            for name, points in sorted(registry.claims(group).items()):
+                twice = "" if len(points) == 1 else "   claimed twice: a scene that names it is refused"
+                print(f"  {name:20} {', '.join(map(registry.package, points))}{twice}")
+    return 0
+
+
+def scenes_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--paths", action="store_true", help="print where they are")
+
+
+def scenes_command(args: argparse.Namespace) -> int:
+    for name, path in shipped.scenes().items():
+        data, _ = yaml_lines.parse(path.read_text(), str(path))
+        print(path if args.paths else f"{name:28} {data.get('description', '')}")
+    return 0
+
+
+def schema_arguments(parser: argparse.ArgumentParser) -> None:
+    for name, (_, what) in REFERENCES.items():
+        parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
+
+
+def schema_command(args: argparse.Namespace) -> int:
+    if name := next((name for name in REFERENCES if getattr(args, name)), ""):
         print(getattr(import_module(REFERENCES[name][0]), f"describe_{name}")(), end="")
     else:
         from nuno.scene.json_schema import scene_schema
 
         print(json.dumps(scene_schema(), indent=2))
     return 0
-
-
-def _list_plugins(wanted: str | None) -> None:
-    """Print the plugins without importing any."""
-    for group, meaning in GROUPS.items():
-        if wanted in (None, group, group.removeprefix("nuno.")):
-            print(f"{group}  ({meaning})")
-            for name, points in sorted(registry.claims(group).items()):
-                twice = "" if len(points) == 1 else "   claimed twice: a scene that names it is refused"
-                print(f"  {name:20} {', '.join(map(registry.package, points))}{twice}")
-
-
-def _list_scenes(paths: bool) -> None:
-    for name, path in shipped.scenes().items():
-        data, _ = yaml_lines.parse(path.read_text(), str(path))
-        print(path if paths else f"{name:28} {data.get('description', '')}")

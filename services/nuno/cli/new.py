@@ -28,13 +28,13 @@ KINDS = {
 """Shipped scene that each kind copies."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def new_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = ", ".join(KINDS)
     parser.add_argument("kind", help=f"{kinds}; or any scene that comes with nuno (nuno scenes)")
     parser.add_argument("file", nargs="?", type=Path, help="what is written (default: KIND.yaml, here)")
 
 
-def main(args: argparse.Namespace) -> int:
+def new_command(args: argparse.Namespace) -> int:
     """Write the scene, and the files that it needs into its folder."""
     known = shipped.scenes()
     name = KINDS.get(args.kind, args.kind)

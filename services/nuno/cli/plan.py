@@ -10,12 +10,12 @@ from nuno.process import attended
 from nuno.simulation.solver_selection.budget import Budget
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def plan_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_budget(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def plan_command(args: argparse.Namespace) -> int:
     budget = budget_of(args)
     attended(lambda: _print(args, budget), budget.stop)
     return 0

@@ -29,14 +29,18 @@ LEGENDS = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def presets_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
 
 
-def main(args: argparse.Namespace) -> int:
+def presets_command(args: argparse.Namespace) -> int:
     print(show(choose(args.command, args.names)))
     print(f"\n{textwrap.fill(LEGENDS[args.command], 100)}")
     return 0
+
+
+yarns_arguments = dyes_arguments = presets_arguments
+yarns_command = dyes_command = presets_command
 
 
 def choose(command: str, names: Sequence[str]) -> list[Preset]:

@@ -27,7 +27,7 @@ from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     speed = parser.add_mutually_exclusive_group()
     speed.add_argument("--rate", type=float, default=1.0, metavar="X", help="simulated seconds a second (default: 1)")
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def replay_command(args: argparse.Namespace) -> int:
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)
         return _replay(recording, args)

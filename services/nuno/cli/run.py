@@ -28,7 +28,7 @@ from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
     add_budget(parser)
     recording = parser.add_argument_group("recording")
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(threads=0)
 
 
-def main(args: argparse.Namespace) -> int:
+def run_command(args: argparse.Namespace) -> int:
     args.words = sys.stderr if str(args.log) == "-" else sys.stdout  # then standard output has the log alone
     with _scene(args) as loaded:
         return _run(loaded, args)

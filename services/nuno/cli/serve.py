@@ -33,7 +33,7 @@ KEEPERS = ("recorder", "viewer")
 """Services that close a file at their end."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def serve_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", choices=["router", *MODULES], help="which one")
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
     add_config(parser)
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
 
-def main(args: argparse.Namespace) -> int:
+def serve_command(args: argparse.Namespace) -> int:
     if args.service == "router":
         return _route(args)
     for name in ("scene", "run", "connect"):

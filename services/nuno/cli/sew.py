@@ -30,7 +30,7 @@ MANNEQUIN = Path("mannequin")
 """Name of the shipped body in `--body`, unless there is a file of that name."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def sew_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "patterns", nargs="+", type=Path, metavar="PATTERN",
         help="a pattern as GarmentCode writes it: JSON, or YAML of the same fields; on a body the innermost first",
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(gather=1.1, edge="2 cm")
 
 
-def main(args: argparse.Namespace) -> int:
+def sew_command(args: argparse.Namespace) -> int:
     if args.motion is not None and args.body is None:
         raise BadInput("a motion moves a body", field="--motion", value=str(args.motion), remedy="add --body FILE")
     if args.check == (args.body is not None):

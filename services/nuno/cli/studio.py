@@ -9,11 +9,11 @@ from nuno.studio.desk import Desk
 from nuno.studio.pages.server import serving
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def studio_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-browser", action="store_true", help="print the page's address, and open nothing")
 
 
-def main(args: argparse.Namespace) -> int:
+def studio_command(args: argparse.Namespace) -> int:
     return serve(Desk(), "studio", "", not args.no_browser)
 
 

@@ -31,14 +31,14 @@ Line = dict[str, Any]
 """Rates and counts of one service between two answers, as `compare` returns and --json prints them."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def top_arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser)
     parser.add_argument("--once", action="store_true", help="measure for one interval, print that, and end")
     parser.add_argument("--interval", type=float, default=1.0, metavar="SECONDS", help="between two looks (default: 1)")
     parser.add_argument("--json", action="store_true", help="one line of JSON for each look")
 
 
-def main(args: argparse.Namespace) -> int:
+def top_command(args: argparse.Namespace) -> int:
     """Show the run until it or the user ends this."""
     run, endpoint = find_run(args)
 

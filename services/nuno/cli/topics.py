@@ -15,13 +15,13 @@ from nuno.cli.top import Line, align, look
 HEADINGS = ("topic", "type", "encoding", "by", "messages", "bytes each", "a second", "MB/s")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def topics_arguments(parser: argparse.ArgumentParser) -> None:
     add_run(parser)
     parser.add_argument("--interval", type=float, default=1.0, metavar="SECONDS", help="that rates are of (default: 1)")
     parser.add_argument("--json", action="store_true", help="one line of JSON")
 
 
-def main(args: argparse.Namespace) -> int:
+def topics_command(args: argparse.Namespace) -> int:
     """Measure the run for one interval."""
     run, endpoint = find_run(args)
     with spoke(endpoint, args.config) as session:

@@ -15,12 +15,12 @@ from nuno.runtime import runs
 from nuno.scene.recorded_scene import restored_scene
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def verify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="most threads for kernels (default: all)")
 
 
-def main(args: argparse.Namespace) -> int:
+def verify_command(args: argparse.Namespace) -> int:
     """Compare; return 1 if the recording differs, or is cut or damaged."""
     with open_recording(runs.find_recording(args.recording)) as recording:
         warn(recording)

@@ -12,14 +12,14 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.pictures import DrawnDraft
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def weave_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("draft", type=Path, metavar="FILE", help="a Weaving Information File, .wif")
     parser.add_argument(
         "--png", type=Path, metavar="FILE", help="draw it: threading, tie-up, treadling and drawdown, with a scale"
     )
 
 
-def main(args: argparse.Namespace) -> int:
+def weave_command(args: argparse.Namespace) -> int:
     if not args.draft.is_file():
         raise BadInput("no such file", value=str(args.draft), remedy="a WIF file that a weaving program has written")
     if args.png is not None:
