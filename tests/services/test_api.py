@@ -20,7 +20,7 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.api.export import ExportRequest
 from nuno.cli import main
-from nuno.cli.export import export_arguments
+from nuno.cli.recordings import export_arguments
 from nuno.recording.writer import part_of
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.plan import Plan

@@ -21,7 +21,7 @@ from nuno.bus.encodings import decode_arrays
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli import main
-from nuno.cli.control import SLOW
+from nuno.cli.active_runs import SLOW
 from nuno.recording.restore import control_events
 from nuno.runtime import runs
 from nuno.runtime.driver import Driver

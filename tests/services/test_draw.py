@@ -16,7 +16,7 @@ from live_run import PATIENCE, wait_until
 from studio_desk import studio
 
 import nuno
-from nuno.cli.draw import open_desk
+from nuno.cli.studio import open_desk
 from nuno.recording.restore import control_events
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.simulation.cloth.build import Piece

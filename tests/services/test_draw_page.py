@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from studio_desk import NEEDS_BROWSER, served
 
 import nuno
-from nuno.cli.draw import open_desk
+from nuno.cli.studio import open_desk
 from nuno.recording.restore import control_events
 from nuno.runtime import runs
 from nuno.scene import scene_file

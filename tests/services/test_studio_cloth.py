@@ -14,7 +14,7 @@ from live_run import PATIENCE, wait_until
 from studio_desk import FILE, SHEET
 
 import nuno
-from nuno.cli.control import NEEDS
+from nuno.cli.active_runs import NEEDS
 from nuno.exports.cloth import read_pieces
 from nuno.runtime import runs
 from nuno.runtime.supervisor import control

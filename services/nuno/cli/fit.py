@@ -7,8 +7,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
-from nuno.cli.top import align
 from nuno.fit.measure import Fit, Girth, Spread
 from nuno.fit.read import read_fits
 from nuno.fit.seams import Seam

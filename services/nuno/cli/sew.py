@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
-from nuno.cli.top import align
 from nuno.formatting import many
 from nuno.output_files import replacing
 from nuno.plugin_contract import registry

@@ -1,4 +1,4 @@
-"""`nuno top`: what the services of a run that goes on are doing."""
+"""Commands on a run that goes on: top, topics, control."""
 
 from __future__ import annotations
 
@@ -15,8 +15,73 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli.common import add_run, find_run
 from nuno.formatting import factor
+from nuno.runtime.driver import ACTIONS
 from nuno.runtime.service import SUPERVISOR
+from nuno.runtime.supervisor import control
 from nuno_schemas.errors import BadInput
+
+# `nuno control`: pause, resume, step, stop, change or add to a run that goes on.
+
+SLOW = "the run answers when the frame that it is in is done"
+NEEDS = {
+    "set": ("KEY=VALUE", "set damping=0.5"),
+    "add": ("a supply, a resist or an operation", "add 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}'"),
+}
+"""Required argument of an action, and an example."""
+
+
+def control_arguments(parser: argparse.ArgumentParser) -> None:
+    add_run(parser, needed=True)
+    parser.add_argument("action", choices=ACTIONS, help="what the run is to do, or is asked")
+    parser.add_argument(
+        "item",
+        nargs="?",
+        help="set: KEY=VALUE, e.g. gravity='[0, -1.6, 0]' or forces.wind.velocity='[5, 0, 0]'; step: how many frames; "
+        "add: dye or resist, e.g. 'supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}', or lines on cloth, "
+        "e.g. 'wrinkle: {lines: [{points: [[0, 0, 0], [0.1, 0, 0]], height: 1 cm}]}', or what a body takes hold of "
+        "and lets go, e.g. 'attach: {body: hand, within: 1 cm}', 'release: {body: hand}'",
+    )
+
+
+def control_command(args: argparse.Namespace) -> int:
+    run, endpoint = find_run(args)
+    request: dict[str, object] = {"action": args.action}
+    if args.action in NEEDS:
+        needed, example = NEEDS[args.action]
+        if not args.item:
+            raise BadInput(f"{args.action} needs {needed}", remedy=f"for example: nuno control last {example}")
+        request["item"] = args.item
+    if args.action == "step":
+        if args.item is not None and not args.item.isdigit():
+            remedy = "for example: nuno control last step 5"
+            raise BadInput("step takes a number of frames", value=args.item, remedy=remedy)
+        request["frames"] = int(args.item or 1)
+    elif args.item is not None and "item" not in request:
+        raise BadInput(f"{args.action} takes nothing more", value=args.item, remedy="leave it out")
+    answer = control(run, endpoint, request, args.config, lambda: print(SLOW, file=sys.stderr, flush=True))
+    if not answer.get("ok"):
+        raise BadInput(str(answer.get("error", "refused")))
+    print(f"{run}: {describe_answer(answer)}")
+    return 0
+
+
+def describe_answer(answer: Mapping[str, Any]) -> str:
+    """Return a run's answer in words: its state, frame and time, and what was changed."""
+    left, state = answer.get("left", 0), str(answer["state"])
+    if left:
+        state += f" for {left} {'frame' if left == 1 else 'frames'}, then paused;"
+    text = f"{state} at frame {answer['frame']} of {answer['frames']}, t = {answer['t']:.3f} s"
+    if "field" in answer:
+        text = f"{answer['field']} {_short(answer['old'])} -> {_short(answer['new'])}; {text}"
+    return text
+
+
+def _short(value: object) -> str:
+    if isinstance(value, dict):  # facts of an operation
+        value = {name: int(n) if isinstance(n, float) and n.is_integer() else n for name, n in value.items()}
+    text = "nothing" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
 
 PATIENCE = 3.0
 """Longest wait for the run [s]."""
@@ -152,3 +217,59 @@ def align(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> str:
     sides = [str.ljust if i in left else str.rjust for i in range(len(widths))]
     padded = ([side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)] for row in rows)
     return "\n".join("  ".join(cells).rstrip() for cells in padded)
+
+
+# `nuno topics`: the topics that a run publishes on its bus.
+
+TOPIC_HEADINGS = ("topic", "type", "encoding", "by", "messages", "bytes each", "a second", "MB/s")
+
+
+def topics_arguments(parser: argparse.ArgumentParser) -> None:
+    add_run(parser)
+    parser.add_argument("--interval", type=float, default=1.0, metavar="SECONDS", help="that rates are of (default: 1)")
+    parser.add_argument("--json", action="store_true", help="one line of JSON")
+
+
+def topics_command(args: argparse.Namespace) -> int:
+    """Measure the run for one interval."""
+    run, endpoint = find_run(args)
+    with spoke(endpoint, args.config) as session:
+        bus = Bus(session, run, "topics")
+        pair = next(look(bus, args.interval), None)
+    if pair is None:
+        print(f"{run} has ended")
+        return 0
+    lines = compare_topics(*pair)
+    if args.json:
+        print(json.dumps({"run": run, "endpoint": endpoint, "topics": lines}))
+    else:
+        print(f"zenoh at {endpoint}, keys {bus.key('TOPIC')}")
+        print(align([TOPIC_HEADINGS, *map(_topic_cells, lines)], range(4)))
+    return 0
+
+
+def _topic_cells(line: Line) -> list[str]:
+    """Return the cells of a line under HEADINGS."""
+    size = f"{line['size']:,.0f}" if line["messages"] else "-"
+    texts = [line[name] for name in ("topic", "type", "encoding", "service")]
+    return [*texts, f"{line['messages']:,}", size, f"{line['rate']:.1f}", f"{line['megabytes']:.3f}"]
+
+
+def compare_topics(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:
+    """Return a line for each topic of each service that answered twice, in the order of their names.
+
+    messages and their mean size [bytes] are since the service's start, rate and megabytes are per second.
+    """
+    lines: list[Line] = []
+    for name in before.keys() & after.keys():
+        seconds = after[name].time - before[name].time
+        old = {one.topic: (one.sent, one.sent_bytes) for one in before[name].topics}
+        for now in after[name].topics:
+            sent, size = old.get(now.topic, (0, 0))
+            lines.append({
+                "topic": now.topic, "type": now.type, "encoding": now.encoding, "service": name, "messages": now.sent,
+                "size": now.sent_bytes / now.sent if now.sent else 0.0,
+                "rate": (now.sent - sent) / seconds if seconds > 0.0 else 0.0,
+                "megabytes": (now.sent_bytes - size) / seconds / 1e6 if seconds > 0.0 else 0.0,
+            })  # fmt: skip
+    return sorted(lines, key=lambda line: (line["topic"], line["service"]))

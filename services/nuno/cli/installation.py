@@ -1,26 +1,32 @@
-"""`nuno doctor`: whether this machine has what nuno needs and what it can use."""
+"""What is installed: plugins, scenes, the schema of scenes, and what this machine lacks."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import importlib.util
+import json
 import os
 import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
 import psutil
 
 from nuno.bus.sessions import hub_at
-from nuno.scene import scene_file, shipped
+from nuno.plugin_contract import registry
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.require import has_screen
 from nuno_schemas.errors import BadInput
+from nuno_schemas.plugin import GROUPS
+
+# `nuno doctor`: whether this machine has what nuno needs and what it can use.
 
 LEAST_MEMORY = 2**29
 """Memory of a run of a small scene, including the compilation of its kernels [bytes]."""
@@ -160,3 +166,52 @@ def _disk() -> Row:
         with contextlib.suppress(OSError):
             probe.unlink()
     return Row(name, "ok", f"{folder.resolve()}: {free / 2**30:.0f} GiB free, {rate:.0f} MB/s to disk")
+
+
+REFERENCES = {
+    "messages": ("nuno.cli.reference", "what a run publishes"),
+    "fields": ("nuno.cli.reference", "every field of a scene"),
+    "commands": ("nuno.cli.reference", "every command and its arguments"),
+}
+"""Generated pages of the documentation, each by `describe_NAME` of a module."""
+
+
+def plugins_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("group", nargs="?", help="only this kind, e.g. nuno.integrators")
+
+
+def plugins_command(args: argparse.Namespace) -> int:
+    """Print the plugins without importing any."""
+    for group, meaning in GROUPS.items():
+        if args.group in (None, group, group.removeprefix("nuno.")):
+            print(f"{group}  ({meaning})")
+            for name, points in sorted(registry.claims(group).items()):
+                twice = "" if len(points) == 1 else "   claimed twice: a scene that names it is refused"
+                print(f"  {name:20} {', '.join(map(registry.package, points))}{twice}")
+    return 0
+
+
+def scenes_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--paths", action="store_true", help="print where they are")
+
+
+def scenes_command(args: argparse.Namespace) -> int:
+    for name, path in shipped.scenes().items():
+        data, _ = yaml_lines.parse(path.read_text(), str(path))
+        print(path if args.paths else f"{name:28} {data.get('description', '')}")
+    return 0
+
+
+def schema_arguments(parser: argparse.ArgumentParser) -> None:
+    for name, (_, what) in REFERENCES.items():
+        parser.add_argument(f"--{name}", action="store_true", help=f"the reference of {what} instead, as Markdown")
+
+
+def schema_command(args: argparse.Namespace) -> int:
+    if name := next((name for name in REFERENCES if getattr(args, name)), ""):
+        print(getattr(import_module(REFERENCES[name][0]), f"describe_{name}")(), end="")
+    else:
+        from nuno.scene.json_schema import scene_schema
+
+        print(json.dumps(scene_schema(), indent=2))
+    return 0
