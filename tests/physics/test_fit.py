@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sewing_patterns import column, moved, panel, pattern, read_pattern, stitch, together, tube
 
 from nuno.cli.fit import describe
-from nuno.collision.surfaces import outlines
+from nuno.collision.bodies import outlines
 from nuno.fit.measure import measure, measure_pressure
 from nuno.fit.places import find_heights, trunk
 from nuno.fit.seams import measure_seams

@@ -22,8 +22,8 @@ from nuno.api.export import ExportRequest
 from nuno.cli import main
 from nuno.cli.recordings import export_arguments
 from nuno.recording.writer import part_of
+from nuno.runtime.launch import Plan
 from nuno.runtime.outcome import Outcome
-from nuno.runtime.plan import Plan
 from nuno.runtime.supervisor import Supervisor
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed

@@ -16,7 +16,7 @@ from live_run import wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus import slow_consumers
+from nuno.bus import sessions as slow_consumers
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import hub_at, identity, spoke
 from nuno.collision.service import Collision
@@ -186,7 +186,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
 def test_a_slow_collision_service_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
 ) -> None:
-    monkeypatch.setattr("nuno.bus.query.WAITING_AFTER", 0.2)
+    monkeypatch.setattr("nuno.bus.messages.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
     monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
     real = Collision.poses

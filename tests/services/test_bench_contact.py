@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import contact, piles

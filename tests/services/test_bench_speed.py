@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.plugin_contract import registry
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import DISTURBED
 from nuno_bench.piles import pile

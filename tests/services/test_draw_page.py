@@ -16,7 +16,7 @@ from studio_desk import NEEDS_BROWSER, served
 
 import nuno
 from nuno.cli.studio import open_desk
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.runtime import runs
 from nuno.scene import scene_file
 from nuno.studio.desk import Desk

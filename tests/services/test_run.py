@@ -18,17 +18,18 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus.query import PendingReply
+from nuno.bus.messages import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.driver import WINDOW
 from nuno.runtime.service import Context, Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.scene.warnings import scene_warnings
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ask_poses, take_poses

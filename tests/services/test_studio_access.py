@@ -26,7 +26,7 @@ from browser import Page
 from live_run import PATIENCE, wait_until
 from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
-from nuno.scene import shipped
+from nuno.scene import files as shipped
 from nuno.studio import arrivals
 from nuno.studio.desk import Desk
 from nuno.studio.pages.guard import FILE as BYTES

@@ -16,7 +16,8 @@ from studio_desk import FILE
 
 from nuno.cli import main
 from nuno.dye.run import build_cloth
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.studio import arrivals, offers
 from nuno.studio.desk import Desk
 from nuno.studio.file_summary import look

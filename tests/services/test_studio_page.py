@@ -15,7 +15,8 @@ import nuno
 from nuno.api.plan import describe
 from nuno.plugin_contract import registry
 from nuno.report.show import lines
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.studio.desk import Desk, swatches
 from nuno.studio.pages.server import Server
 from nuno_schemas.dyeing import PRESETS

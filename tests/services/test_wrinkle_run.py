@@ -15,11 +15,12 @@ import nuno
 from nuno.cli import main
 from nuno.exports.cloth import Pieces
 from nuno.exports.tables import export_csv
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.kind import ShownScene, compare
 from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn

@@ -15,7 +15,7 @@ from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
 from nuno.scene import scene_file
-from nuno.scene.templates.garments import Garment, describe_worn, name_garments
+from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Gallery, ShownScene, compare, embed

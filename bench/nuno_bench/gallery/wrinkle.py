@@ -13,9 +13,9 @@ from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scene import shipped
+from nuno.scene import files as shipped
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.studio.draw.lines import distance_to
 from nuno_bench.gallery.kind import Difference, Gallery, read_picture, show_scene
 from nuno_schemas.fabric import Bool, Float, Int, State
@@ -75,7 +75,7 @@ def _raise(loaded: Loaded, before: Frame) -> Float:
     """(n, 3) [m] where the scene's lines raise the cloth, before any step: a frame later it has sunk already."""
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
-    fabric, _ = build.build_fabric(loaded, bodies.geometry if bodies else None, poses)
+    fabric, _ = cloth.build_fabric(loaded, bodies.geometry if bodies else None, poses)
     state = State(before.x.astype(np.float64), np.zeros(before.x.shape), before.t)
     for operation in loaded.operations:
         changed = operation.plugin.apply(operation.config, fabric, state, None).changed

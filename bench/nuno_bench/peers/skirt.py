@@ -10,16 +10,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nuno.collision.crossings import find_crossings
+from nuno.collision.bodies import surface
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import penetration
-from nuno.collision.pairs import mesh_of
-from nuno.collision.surfaces import surface
 from nuno.exports.camera import place_camera, z_up
 from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno.plugin_contract import registry
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Comparison, fastest, is_ours, plain

@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from nuno.dye.run import DyeRun
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.simulation.solver_selection.cloth import decide
-from nuno.simulation.solver_selection.selection import PROMISE
-from nuno.simulation.solver_selection.trials import GROWTH
+from nuno.simulation.solver_selection.trials import GROWTH, PROMISE
 from nuno_bench import machine, options
 from nuno_bench.piles import random_scene
 from nuno_bench.precision.sweep import measure_errors

@@ -18,7 +18,8 @@ import numpy as np
 
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import supervise
-from nuno.scene import scene_file, shipped
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno_bench.machine import cores
 from nuno_bench.problem import run_own

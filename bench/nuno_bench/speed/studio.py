@@ -16,7 +16,7 @@ from typing import Any
 
 import nuno
 from nuno.runtime import runs
-from nuno.scene import shipped
+from nuno.scene import files as shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
 from nuno.studio.pages.server import Server, page_files

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from nuno.api.words import in_python
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
-from nuno.collision.live import read_poses
-from nuno.collision.messages import LIVE_BODIES_QUERY
+from nuno.collision.messages import LIVE_BODIES_QUERY, read_poses
 from nuno.runtime import runs
 from nuno.runtime.driver import CONTROL
 from nuno.runtime.supervisor import CONTROL_TIMEOUT

@@ -11,16 +11,16 @@ from typing import Any
 from nuno.api.scene import Scene, as_texts, loaded
 from nuno.api.words import in_python
 from nuno.report.show import describe_start
-from nuno.runtime.plan import make_plan
+from nuno.runtime.launch import make_plan
 from nuno.runtime.service import Options
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.start_checks import start_warnings
-from nuno.simulation.cloth.texture import texture_size
+from nuno.simulation import cloth
+from nuno.simulation.cloth import texture_size
 from nuno.simulation.run import Simulation
-from nuno.simulation.solver_selection.budget import Budget
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
+from nuno.simulation.start_checks import start_warnings
 from nuno_schemas.bodies import Geometry, Poses
 
 Row = tuple[str, str]
@@ -66,7 +66,7 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
 
         Artist(loaded)  # refuses bad pictures, as with an eye inside a body
     if loaded.dye is not None:
-        from nuno.dye.describe import describe_dye
+        from nuno.dye.run import describe_dye
 
         rows += describe_dye(loaded)
     yield from rows
@@ -88,7 +88,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [("chosen", loaded.why)] if loaded.why else []
     kept = sum(array.nbytes for array in simulation.whole()[0].values())
     size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
-    return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
+    return rows + simulation.describe_cost(seconds, size, cloth.estimate_memory(loaded)[1])
 
 
 def _texture(simulation: Simulation) -> list[tuple[str, str]]:
@@ -109,7 +109,7 @@ def _texture(simulation: Simulation) -> list[tuple[str, str]]:
 def _contacts(loaded: Loaded) -> list[tuple[str, str]]:
     """Return which objects collide, and by which contact."""
     bodies = [body.name for body in loaded.scene.bodies]
-    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in build.group_contacts(loaded)]
+    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in cloth.group_contacts(loaded)]
     if loaded.cloth_contact is not None:
         bodies_met = [bodies[i] for i in loaded.scene.met_bodies]
         met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *bodies_met])}")
@@ -138,10 +138,10 @@ def _attachments(simulation: Simulation, geometry: Geometry, poses: Poses) -> li
     """Return the start positions of the frames that cloth is attached to."""
     rows = []
     for binding in simulation.fabric.bindings:
-        if (skinned := build.skin_of(binding, geometry)) is not None:
+        if (skinned := cloth.skin_of(binding, geometry)) is not None:
             rows.append(("attached", f"to the skin of {binding.body}, each vertex to its place on it"))
             continue
-        frame = build.frame_of(binding, geometry.frames, skinned)
+        frame = cloth.frame_of(binding, geometry.frames, skinned)
         place = ", ".join(f"{v:.3g}" for v in poses.translation[frame])
         rows.append(("attached", f"to {geometry.frames[frame]}, which starts at [{place}] m"))
     return list(dict.fromkeys(rows))

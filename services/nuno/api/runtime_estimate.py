@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from nuno.replay.verification import steppers
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.solver_selection.budget import Budget
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
 
 
 @dataclass

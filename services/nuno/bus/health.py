@@ -11,8 +11,7 @@ import psutil
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from nuno.bus.messages import Bus
-from nuno.bus.query import Query
+from nuno.bus.messages import Bus, Query
 from nuno.bus.sessions import direct
 from nuno_schemas.errors import RunFailed
 

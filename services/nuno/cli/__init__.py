@@ -27,7 +27,7 @@ COMMANDS = {
     "control": ("nuno.cli.active_runs", "pause, resume, step, stop, change or add to a run that goes on"),
     "top": (
         "nuno.cli.active_runs",
-        "what the services of a run that goes on are doing: rates, who is behind, what was lost",
+        "what services of a run that goes on are doing: rates, who is behind, what was lost",
     ),
     "topics": ("nuno.cli.active_runs", "what a run that goes on publishes on its bus: topics, types, sizes, rates"),
     "draw": ("nuno.cli.studio", "a page for drawing ridges and valleys on a cloth by hand"),
@@ -55,7 +55,7 @@ COMMANDS = {
     "dyes": ("nuno.cli.textiles", "the dyes that scenes can name, with sources"),
     "weave": (
         "nuno.cli.textiles",
-        "a weaver's draft, a WIF file: what it holds, drawn in its colours and at its scale",
+        "a weaver's draft, a WIF file: what it holds, drawn in colours and at its scale",
     ),
     "schema": ("nuno.cli.installation", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.installation", "whether this machine has what nuno can use"),

@@ -21,13 +21,12 @@ from nuno.cli.common import add_config, add_flags, add_set, warn
 from nuno.exports.camera import Side
 from nuno.formatting import many, plain
 from nuno.process import state_of
-from nuno.recording.gaps import Lacks, find_lacks, shortcoming
-from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.reader import END, Lacks, Recording, find_lacks, open_recording, shortcoming
 from nuno.replay.publisher import Replay
 from nuno.replay.verification import Verification, verify
 from nuno.report.show import recorded_lines
 from nuno.runtime import runs
-from nuno.runtime.intersections import find_nearest, find_spells, spell_rows
+from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded

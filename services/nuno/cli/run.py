@@ -22,12 +22,12 @@ from nuno.runtime import log, runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import shipped
+from nuno.scene import files as shipped
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
-from nuno.scene.templates.shipped import write_after
-from nuno.simulation.solver_selection.budget import Budget
+from nuno.scene.templates import write_after
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
 from nuno.viewer.live import keep_page
 from nuno.viewer.require import add_view, choose_view
 from nuno_schemas.errors import BadInput, nearest

@@ -12,17 +12,18 @@ from pathlib import Path
 
 import zenoh
 
-from nuno.bus import credentials_folder, sessions
-from nuno.bus.credentials_folder import Kept
-from nuno.bus.slow_consumers import LOOK_SECONDS, SlowConsumers
+from nuno.bus import credentials, sessions
+from nuno.bus.credentials import Kept
+from nuno.bus.sessions import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import ENDING, SIGNALS, end_process
 from nuno.runtime import runs
 from nuno.runtime.launch import FINISH_TIMEOUT, LINGER
 from nuno.runtime.service import MODULES, SUPERVISOR, Options, run_service
-from nuno.scene import scene_file, shipped
-from nuno.simulation.solver_selection.budget import Budget
+from nuno.scene import files as shipped
+from nuno.scene import scene_file
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
 from nuno_schemas.errors import BadInput, RunFailed
 
 # `nuno certs`: certificates and access control for a run on several hosts.
@@ -39,7 +40,7 @@ def certs_arguments(parser: argparse.ArgumentParser) -> None:
         help="names and addresses by which hosts reach the router (default: %(default)s)",
     )
     parser.add_argument(
-        "--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(credentials_folder.roles())}"
+        "--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(credentials.roles())}"
     )
     parser.add_argument("--days", type=int, default=365, metavar="N", help="how long they hold (default: %(default)s)")
     parser.add_argument("--check", action="store_true", help="make none: name what has expired or does not fit")
@@ -47,10 +48,10 @@ def certs_arguments(parser: argparse.ArgumentParser) -> None:
 
 def certs_command(args: argparse.Namespace) -> int:
     if args.check:
-        kept = credentials_folder.check(args.folder)
+        kept = credentials.check(args.folder)
     else:
-        wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials_folder.roles()
-        kept = credentials_folder.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
+        wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials.roles()
+        kept = credentials.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
     for certificate in kept:
         print(_line(certificate))
     broken = [certificate for certificate in kept if certificate.wrong]
@@ -110,7 +111,7 @@ def serve_command(args: argparse.Namespace) -> int:
             )
     runs.check_id(args.run)
     if args.config is not None:
-        from nuno.bus.credentials_folder import role_of, roles
+        from nuno.bus.credentials import role_of, roles
 
         if (role := role_of(Path(args.config))) in {*roles()} - {args.service}:
             problem, remedy = f"this is the certificate of {role}", f"take that of the service: {args.service}.json5"

@@ -19,7 +19,7 @@ from nuno.output_files import replacing
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles, near
-from nuno.scene.templates.garments import Garment, build_body, describe_worn, is_own, name_garments, unit_for
+from nuno.scene.templates import Garment, build_body, describe_worn, is_own, name_garments, unit_for
 from nuno.scene.validation_errors import explain
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
@@ -103,7 +103,7 @@ def wear(args: argparse.Namespace) -> int:
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
-        from nuno.simulation.cloth.build import build_fabrics
+        from nuno.simulation.cloth import build_fabrics
 
         build_fabrics(scene_file.read(scene, (), roots))  # raises the errors of a run
         return 0

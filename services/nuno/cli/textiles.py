@@ -11,7 +11,7 @@ from nuno.cli.active_runs import align
 from nuno.exports.dyed_pictures import caption
 from nuno.output_files import check_target, write_png, writing
 from nuno.plugin_contract import registry
-from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
+from nuno.scene.templates import import_sheet, in_units
 from nuno_schemas.dyeing import list_dyes
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.pictures import DrawnDraft

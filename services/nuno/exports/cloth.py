@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno.collision.bodies import Surfaces, surface
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.collision.surfaces import Surfaces, surface
 from nuno.exports.paint import INSET, colour_of
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.scene.recorded_scene import restored_scene
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.yarns import Tensions, find_pressure, has_pressure
+from nuno.simulation import cloth
+from nuno.simulation.yarns import Tensions, find_pressure, has_pressure
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput
@@ -314,7 +314,7 @@ def read_pressure(recording: Recording) -> Pressures | None:
     if "edge_yarn" not in arrays:
         return None
     with restored_scene(recording) as loaded:
-        fabric, _ = build.build_fabric(loaded)
+        fabric, _ = cloth.build_fabric(loaded)
     if not has_pressure(fabric):
         return None
 

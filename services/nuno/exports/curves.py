@@ -8,8 +8,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import surface
+from nuno.collision.bodies import build_bodies, surface
 from nuno.exports.cloth import read_frame
 from nuno.output_files import check_target, writing
 from nuno.plugin_contract import registry
@@ -17,7 +16,7 @@ from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.dyeing import Form
 from nuno_schemas.errors import BadInput
@@ -43,7 +42,7 @@ def make_yarns(
         remedy = "yarns are what the model knit makes"
         raise BadInput("the recording's cloth has no yarns", path, field="--yarns", remedy=remedy)
     with restored_scene(recording) as loaded:
-        fabric = build.build_fabric(loaded)[0]
+        fabric = cloth.build_fabric(loaded)[0]
         if frame.x.shape != fabric.position.shape:
             raise BadInput(f"frame {frame.number} has {len(frame.x)} points, and the scene {fabric.number}", path)
         if not np.isfinite(frame.x).all():

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nuno.bus.encodings import origin_of
-from nuno.collision.surfaces import vertex_normals
+from nuno.collision.bodies import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.exports.paint import BODY, PLAIN, paint_stretch

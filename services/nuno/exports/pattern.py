@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nuno.collision.surfaces import outlines
+from nuno.collision.bodies import outlines
 from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
 from nuno.exports.paint import STRETCH, paint_stretch
 from nuno.output_files import check_target, load_extra, writing

@@ -14,7 +14,7 @@ from nuno.output_files import writing
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import per_dye
 from nuno.replay.frame_state import Acted, FrameState, states
-from nuno.scene.commented import comment
+from nuno.scene.edit import comment
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from nuno.bus.encodings import origin_of
-from nuno.collision.surfaces import vertex_normals
+from nuno.collision.bodies import vertex_normals
 from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs

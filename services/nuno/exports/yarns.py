@@ -20,8 +20,8 @@ from nuno.recording.recorded import Frame
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.build import build_fabric
-from nuno.simulation.cloth.yarns import find_pressure, has_pressure, structural_edges
+from nuno.simulation.cloth import build_fabric
+from nuno.simulation.yarns import find_pressure, has_pressure, structural_edges
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
 from nuno_schemas.operation import YarnCurves

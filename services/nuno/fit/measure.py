@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from nuno.collision.surfaces import outlines
+from nuno.collision.bodies import outlines
 from nuno.fit.places import trunk
 from nuno.fit.seams import Seam
 from nuno.fit.slices import Slice, cut, turns

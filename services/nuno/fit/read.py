@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import surface, vertex_normals
+from nuno.collision.bodies import build_bodies, surface, vertex_normals
 from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.fit.measure import Fit, measure, measure_pressure
 from nuno.fit.places import find_heights
@@ -18,7 +17,7 @@ from nuno.recording.reader import Recording
 from nuno.replay.frame_state import FrameState, states
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.yarns import named_heights
+from nuno.simulation.yarns import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float, Int, Membrane

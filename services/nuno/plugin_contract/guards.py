@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
+import signal
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, TypeVar
 
 import numpy as np
 
-from nuno.plugin_contract import containment
-from nuno.plugin_contract.results import check, check_turn, doubts
-from nuno.plugin_contract.values import ContractError, check_array
+from nuno import process
+from nuno.plugin_contract.results import ContractError, check, check_array, check_turn, doubts
+from nuno.process import ENDING, refusing_exit, working_folder
 from nuno_schemas.dye import DyeState, Isotherm
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, State
@@ -40,7 +44,7 @@ def _hint(error: BaseException) -> str:
 
 def _place(error: BaseException) -> str:
     """Return the innermost line of an error in the plugin's own folder, "" if there is none."""
-    skipped = (__file__, *containment.OWN_FRAMES)
+    skipped = (__file__, *OWN_FRAMES)
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename not in skipped]
     plugin_frames = [frame for frame in frames if Path(frame.filename).parent == Path(frames[0].filename).parent]
     return f" ({Path(plugin_frames[-1].filename).name}:{plugin_frames[-1].lineno})" if plugin_frames else ""
@@ -54,7 +58,7 @@ class Foreign:
     """Wraps a plugin, and guards each of its methods.
 
     A method may raise BadInput and RunFailed; any other error, also KeyboardInterrupt without a signal, becomes
-    RunFailed with the plugin's name; `nuno.plugin_contract.containment` has the other limits. Its results are checked
+    RunFailed with the plugin's name; `nuno.plugin_contract.guards` has the other limits. Its results are checked
     against the contract of its kind (`nuno.plugin_contract.results`), and so are the state after `advance` and the
     results of its functions.
     """
@@ -67,7 +71,7 @@ class Foreign:
         if name.startswith("_"):  # Python looks these up in an object that is being copied
             raise AttributeError(name)
         if not hasattr(self._plugin, name):
-            raise Lacking(f"{self._label} has no {name}", remedy=containment.UNWRITTEN)
+            raise Lacking(f"{self._label} has no {name}", remedy=UNWRITTEN)
         value = getattr(self._plugin, name)
         return self._guarded(name, value) if callable(value) and not isinstance(value, type) else value
 
@@ -91,7 +95,7 @@ class Foreign:
             text = f"{type(error).__name__}: {error}{_hint(error)}{_place(error)}"
             return RunFailed(f"{self._label} failed in {name}: {text}")
 
-        return containment.call(fail, method, *args, **kwargs)
+        return call(fail, method, *args, **kwargs)
 
     def _checked(self, name: str, result: Any, args: Sequence[Any]) -> Any:
         """Check the result of a method, and guard the functions in it."""
@@ -154,3 +158,69 @@ class Foreign:
             check_array(what, values, np.float64, shape, Bounds(finite=finite, strided=strided))
         except ContractError as error:
             raise RunFailed(f"{self._label}: {error}") from None
+
+
+# Containment of calls into other distributions' code, so that errors name the plugin.
+
+T = TypeVar("T")
+OWN_FRAMES = (__file__, process.__file__)
+"""Files whose frames lie between a call and the called code."""
+UNWRITTEN = (
+    "write it, if the package is yours: docs/reference/protocols.md has what a plugin of each kind is asked for; if "
+    "not, update it"
+)
+"""Remedy for a plugin that lacks a method."""
+
+
+def call(fail: Callable[[BaseException], BaseException], function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+    """Return the result of `function`. Raises `fail(error)` for any error, except the user's own signals.
+
+    `os._exit` in it raises SystemExit, instead of ending the process; the working folder and NumPy's error handling
+    are restored afterwards.
+    """
+    with np.errstate(), _same_folder(), refusing_exit(), _signals() as signals:
+        try:
+            return function(*args, **kwargs)
+        except BaseException as error:
+            if isinstance(error, KeyboardInterrupt) and signals:
+                raise
+            failure = fail(error)
+            if failure is error:
+                raise
+            raise failure from error
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect the signals that arrive: a KeyboardInterrupt without one is not the user's.
+
+    Python handles signals only in the main thread.
+    """
+    received: list[int] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {n: handler for n in ENDING if callable(handler := signal.getsignal(n))}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        handlers[number](number, frame)
+
+    for number in handlers:
+        signal.signal(number, note)
+    try:
+        yield received
+    finally:
+        for number, handler in handlers.items():
+            if signal.getsignal(number) is note:
+                signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _same_folder() -> Iterator[None]:
+    """Restore the working folder, which all threads share."""
+    before = working_folder()
+    try:
+        yield
+    finally:
+        if before and working_folder() != before:
+            os.chdir(before)

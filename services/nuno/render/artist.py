@@ -15,7 +15,7 @@ from nuno.plugin_contract import registry
 from nuno.recording.recorded import Frame
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth import build_fabric
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pictures import Camera, Mesh, Worn
 

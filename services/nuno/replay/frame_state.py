@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from nuno.recording.reader import Recording
+from nuno.recording.reader import Recording, control_events
 from nuno.recording.recorded import Recorded
-from nuno.recording.restore import control_events
 from nuno.replay.verification import steppers
-from nuno.runtime.resimulation import Resimulation
-from nuno.runtime.stepper import Stepper
+from nuno.runtime.stepper import Resimulation, Stepper
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

@@ -6,7 +6,7 @@ from typing import TextIO
 
 from nuno.formatting import counted, duration, factor, many
 from nuno.report.make import Report
-from nuno.runtime import intersections
+from nuno.runtime import outcome as intersections
 from nuno.scene.warnings import result_warnings
 
 LOOKED_UP = ("steps", "parts", "energy", "counted", "friction", "solver", "idle")

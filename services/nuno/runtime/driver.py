@@ -14,13 +14,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import WAITING_AFTER, Query
+from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.recorded import Checkpoint
-from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
+from nuno.runtime.service import LOOK_SECONDS, Context, FrameWatchdog, ack_topic, asks_to_finish
 from nuno.runtime.stepper import Stepped, Stepper
-from nuno.runtime.watchdog import FrameWatchdog
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 

@@ -16,7 +16,7 @@ import zenoh
 from nuno.bus.encodings import BadMessage
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.studio import scenes
 from nuno.studio.draw.keep import Trial
 from nuno.studio.live_view.follower import Follower
@@ -82,7 +82,7 @@ class Starts:
 
 def _build(*text: Any) -> tuple[Sight, Fabric, list[Fabric]]:
     loaded = scenes.load(*text)
-    build.check_memory(loaded)
+    cloth.check_memory(loaded)
     return see_objects(loaded)
 
 

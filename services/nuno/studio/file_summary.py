@@ -14,12 +14,10 @@ from PIL import Image
 
 from nuno.exports.paint import as_png
 from nuno.plugin_contract import registry
-from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import open_recording
+from nuno.recording.reader import open_recording, shortcoming
 from nuno.scene import yaml_lines
 from nuno.scene.files import SceneFiles
-from nuno.scene.templates.garments import build_body
-from nuno.scene.templates.laboratory_sheet import import_sheet, in_units
+from nuno.scene.templates import build_body, import_sheet, in_units
 from nuno.studio import scenes
 from nuno.studio.draw.append import MARK, read_text
 from nuno.studio.pages.server import describe

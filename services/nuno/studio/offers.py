@@ -16,10 +16,9 @@ from PIL import Image
 
 from nuno.dye.run import build_cloth
 from nuno.plugin_contract import registry
-from nuno.scene import shipped
+from nuno.scene import files as shipped
 from nuno.scene.override import as_override as _as
-from nuno.scene.templates.garments import Garment, describe_worn, name_garments, unit_for
-from nuno.scene.templates.shipped import load_after, write_after
+from nuno.scene.templates import Garment, describe_worn, load_after, name_garments, unit_for, write_after
 from nuno.studio.arrivals import reserve
 from nuno.studio.file_summary import Seen, as_scale, files_of
 from nuno_schemas.colour import upright

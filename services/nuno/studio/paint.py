@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from nuno.dye.add import parse
+from nuno.dye.run import parse
 from nuno.scene import edit, yaml_lines
 from nuno.scene.edit import flow
 from nuno.studio.arrivals import reserve

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
 from nuno.report.show import recorded_lines
 from nuno.runtime import log, runs

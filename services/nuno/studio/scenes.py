@@ -15,12 +15,13 @@ import numpy as np
 from nuno.api.plan import Row, describe
 from nuno.collision.bodies import build_bodies
 from nuno.formatting import for_json
-from nuno.scene import edit, scene_file, shipped, yaml_lines
+from nuno.scene import edit, scene_file, yaml_lines
+from nuno.scene import files as shipped
 from nuno.scene.override import item_at
 from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
-from nuno.simulation.cloth.build import drawn_over, frame_of, no_body
+from nuno.simulation.cloth import drawn_over, frame_of, no_body
 from nuno.studio.draw.append import read_text, write_whole
 from nuno.studio.pages import server
 from nuno_schemas.errors import BadInput, nearest

@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage
-from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface, vertex_normals
+from nuno.collision.bodies import NO_SURFACES, Surfaces, surface, vertex_normals
 from nuno.exports.paint import BODY, INSET
 from nuno.viewer import layout
 from nuno.viewer.cloth import pack

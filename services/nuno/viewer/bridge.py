@@ -18,7 +18,7 @@ from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import cut_pieces
 from nuno.exports.paint import INSET
 from nuno.formatting import duration
-from nuno.simulation.cloth.yarns import SPAN
+from nuno.simulation.yarns import SPAN
 from nuno.viewer import layout
 from nuno.viewer.bodies import BodiesView
 from nuno.viewer.cloth import Cloth, ReadImage, read_image

@@ -12,10 +12,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import origin_of
-from nuno.collision.surfaces import vertex_normals
+from nuno.collision.bodies import vertex_normals
 from nuno.exports.cloth import ShownPiece
 from nuno.exports.paint import PLAIN, STRETCH, paint_yarns
-from nuno.simulation.cloth.yarns import SPAN
+from nuno.simulation.yarns import SPAN
 from nuno_schemas.colour import MISSING, colours, parse_hex, read_rgb, to_srgb
 from nuno_schemas.fabric import Float
 

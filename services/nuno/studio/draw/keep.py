@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from nuno.plugin_contract import registry
 from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.studio.draw.append import append_items
 from nuno.studio.live_view.snapshot import Sight
 from nuno.studio.live_view.sources import see_objects
@@ -66,7 +66,7 @@ class Trial:
         fabric = self._fabrics[operation["object"]]
         others = ("plugin", "object")
         config = self._plugin.Config.model_validate({k: v for k, v in operation.items() if k not in others})
-        self._plugin.apply(config, fabric, build.start_state(fabric), None)
+        self._plugin.apply(config, fabric, cloth.start_state(fabric), None)
 
 
 def with_lines(

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from nuno.simulation.cloth.build import Piece
+from nuno.simulation.cloth import Piece
 from nuno.studio.live_view.snapshot import Sight
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -14,8 +14,8 @@ import zenoh
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
+from nuno.collision.bodies import Surfaces
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
-from nuno.collision.surfaces import Surfaces
 from nuno.runtime import runs
 from nuno.simulation.service import NOW
 from nuno.studio.live_view.snapshot import NO_POINTS, Board, Sight

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.simulation.cloth.build import Piece
+from nuno.simulation.cloth import Piece
 from nuno.studio.pages.server import whole
 from nuno_schemas.fabric import Float, Int
 

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage
-from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import NO_SURFACES, Surfaces, surface
+from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
 from nuno.exports.paint import INSET, colour_of
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.join import join_fabrics
-from nuno.simulation.cloth.yarns import structural_edges
+from nuno.simulation import cloth
+from nuno.simulation.cloth import join_fabrics
+from nuno.simulation.yarns import structural_edges
 from nuno.studio.live_view.snapshot import NO_POINTS, Sight
 from nuno_schemas.bodies import Geometry
 from nuno_schemas.errors import BadInput
@@ -49,8 +48,8 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
         raise BadInput("there is no cloth here that moves", value=loaded.scene.name, remedy=remedy)
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
-    fabrics = build.build_fabrics(loaded, geometry, poses)
-    fabric, pieces = join_fabrics(fabrics, loaded.scene.name), build.place_pieces(loaded, fabrics)
+    fabrics = cloth.build_fabrics(loaded, geometry, poses)
+    fabric, pieces = join_fabrics(fabrics, loaded.scene.name), cloth.place_pieces(loaded, fabrics)
     drawn = draw_bodies(geometry, size_of(fabric.position))
     edges, rest = structural_edges(fabric)
     sight = Sight(
@@ -69,7 +68,7 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
     """Decode a run's answer about its cloth, without its bodies. Raises BadMessage."""
     try:
-        pieces = [build.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]]
+        pieces = [cloth.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]]
         x, faces, edges, rest = (arrays[name] for name in ("x", "faces", "edges", "edge_rest"))
         sight = Sight(x, faces, tuple(pieces), edges=edges, rest=rest, frame=int(text["frame"]), t=float(text["t"]))
     except (KeyError, TypeError, ValueError) as error:
@@ -81,7 +80,7 @@ def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sigh
     return replace(sight, pieces=_coloured(pieces, faces))
 
 
-def _coloured(pieces: Iterable[build.Piece], faces: Int) -> tuple[build.Piece, ...]:
+def _coloured(pieces: Iterable[cloth.Piece], faces: Int) -> tuple[cloth.Piece, ...]:
     """Give objects of triangles (f, 3) without a colour that of pictures, as `cut_pieces` does."""
     first = faces[:, 0] if faces.size else np.zeros(0, np.int32)
     return tuple(

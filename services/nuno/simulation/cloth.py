@@ -11,18 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.bodies import build_bodies
-from nuno.collision.surfaces import surface, vertex_normals
+from nuno.collision.bodies import build_bodies, surface, vertex_normals
 from nuno.runtime.stepper import require_memory
 from nuno.scene.chosen_plugins import Chosen
-from nuno.scene.plausible import with_doubts
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.join import join_fabrics
-from nuno.simulation.cloth.start_checks import check_wearer, check_worn
-from nuno.simulation.cloth.texture import check_texture
+from nuno.scene.warnings import with_doubts
+from nuno.simulation.start_checks import check_wearer, check_worn
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses, rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Float, Int, State
+from nuno_schemas.fabric import (
+    Bending,
+    BendingFriction,
+    Binding,
+    Corners,
+    Fabric,
+    Float,
+    Hinges,
+    Int,
+    Membrane,
+    Panels,
+    Springs,
+    State,
+    Yarns,
+)
 from nuno_schemas.operation import Surface, arranges
 from nuno_schemas.plugin import Rested
 from nuno_schemas.scene import Fading, Scene
@@ -383,3 +394,133 @@ def start_state(fabric: Fabric) -> State:
     velocity = np.array(fabric.velocity, np.float64, order="C")
     velocity[fabric.pinned] = 0.0
     return State(np.array(fabric.position, np.float64, order="C"), velocity, 0.0)
+
+
+# Joining of several fabrics into one.
+
+
+def join_fabrics(fabrics: list[Fabric], name: str) -> Fabric:
+    """Join fabrics in order; a single one is returned unchanged."""
+    if len(fabrics) == 1:
+        return fabrics[0]
+    starts = np.cumsum([0, *(f.number for f in fabrics)])
+    moved = list(zip(fabrics, starts, strict=False))
+    springs = [replace(f.springs, first=(f.springs.first + at).astype(np.int32)) for f, at in moved if f.springs]
+    hinges = [(f.hinges, at) for f, at in moved if f.hinges]
+    before = np.cumsum([0, *(f.springs.number if f.springs else 0 for f in fabrics)]).tolist()
+    membranes = [replace(f.membrane, faces=f.membrane.faces + np.int32(at)) for f, at in moved if f.membrane]
+    bending = [(f.bending.pairs + np.int32(at), f.bending.weight) for f, at in moved if f.bending]
+    friction = [replace(f.friction, vertices=f.friction.vertices + np.int32(at)) for f, at in moved if f.friction]
+    cells = [f.cells + at for f, at in moved if f.cells is not None]
+    yarns = [(f.yarns, at) for f, at in zip(fabrics, before, strict=False) if f.yarns]
+    empty, no_uv = np.zeros((0, 3)), np.zeros((0, 2), np.float32)
+    return Fabric(
+        name,
+        np.concatenate([empty, *(f.position for f in fabrics)]),
+        np.concatenate([empty, *(f.velocity for f in fabrics)]),
+        np.concatenate([np.zeros(0), *(f.mass for f in fabrics)]),
+        np.concatenate([np.zeros(0, bool), *(f.pinned for f in fabrics)]),
+        np.concatenate([np.zeros((0, 3), np.int32), *((f.faces + at).astype(np.int32) for f, at in moved)]),
+        Springs.join(springs) if springs else None,
+        _join_hinges(hinges) if hinges else None,
+        np.concatenate([no_uv, *(np.zeros((f.number, 2), np.float32) if f.uv is None else f.uv for f in fabrics)]),
+        tuple(replace(b, vertices=(b.vertices + at).astype(np.int32)) for f, at in moved for b in f.bindings),
+        yarns=Yarns.join(yarns) if yarns else None,
+        cells=np.concatenate(cells).astype(np.int32) if cells else None,
+        membrane=_join_membranes(membranes) if membranes else None,
+        friction=BendingFriction.join(friction) if friction else None,
+        corners=_join_corners(moved) if any(f.corners is not None for f in fabrics) else None,
+        bending=Bending(*map(np.concatenate, zip(*bending, strict=True))) if bending else None,
+    )
+
+
+def _join_corners(moved: list[tuple[Fabric, np.int64]]) -> Corners:
+    """Join corners; a fabric without any has one for each vertex, at its texture coordinates."""
+    parts = [f.laid_out or Corners(np.zeros((f.number, 2), np.float32), np.arange(f.number, dtype=np.int32), f.faces)
+             for f, _ in moved]  # fmt: skip
+    before = np.cumsum([0, *(len(part.vertex) for part in parts)])
+    return Corners(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.vertex + at for part, (_, at) in zip(parts, moved, strict=True)]).astype(np.int32),
+        np.concatenate([part.faces + at for part, at in zip(parts, before, strict=False)]).astype(np.int32),
+        _join_panels(parts, before.tolist()) if any(part.panels for part in parts) else None,
+    )
+
+
+def _join_panels(parts: list[Corners], before: list[int]) -> Panels:
+    """Join panels; triangles of a fabric without panels belong to none."""
+    free = np.full((max(len(part.faces) for part in parts), 3), -1, np.int32)
+    plain = [Panels((), free[: len(c.faces), 0], free[: len(c.faces)], np.empty(0), free[:0, :2], free[:0, 0])
+             for c in parts]  # fmt: skip
+    all_ = [part.panels or empty for part, empty in zip(parts, plain, strict=True)]
+    names = np.cumsum([0, *(len(panels.names) for panels in all_)]).tolist()
+    seams = np.cumsum([0, *(int(panels.seam.max(initial=-1)) + 1 for panels in all_)]).tolist()
+    return Panels(
+        tuple(name for panels in all_ for name in panels.names),
+        np.concatenate([np.where(p.of < 0, -1, p.of + at) for p, at in zip(all_, names, strict=False)]).astype(
+            np.int32
+        ),
+        np.concatenate([panels.edge for panels in all_]),
+        np.concatenate([panels.unit for panels in all_]),
+        np.concatenate([p.pairs + at for p, at in zip(all_, before, strict=False)]).astype(np.int32),
+        np.concatenate([p.seam + at for p, at in zip(all_, seams, strict=False)]).astype(np.int32),
+    )
+
+
+def _join_membranes(parts: list[Membrane]) -> Membrane:
+    faces, along, across, area = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("faces", "along", "across", "area")
+    )
+    moduli, damping = (np.concatenate([getattr(p, name) for p in parts], axis=1) for name in ("moduli", "damping"))
+    return Membrane(faces, along, across, area, moduli, damping)
+
+
+def _join_hinges(parts: list[tuple[Hinges, int]]) -> Hinges:
+    per_run = all(h.k.shape == h.rest.shape == h.count.shape for h, _ in parts)
+    values = [(h.k, h.rest) if per_run else (h.per_hinge(h.k), h.per_hinge(h.rest)) for h, _ in parts]
+    return Hinges(
+        np.concatenate([(h.first + at).astype(np.int32) for h, at in parts]),
+        np.concatenate([h.count for h, _ in parts]),
+        np.concatenate([h.stride for h, _ in parts]),
+        np.concatenate([k for k, _ in values]),
+        np.concatenate([rest for _, rest in values]),
+    )
+
+
+# Texture coordinates of cloth: their check, and the size of the texture, which a print or a dyed pattern has.
+
+UV_ROUNDING = 1e-6
+"""Texture coordinates are float32, and files round them."""
+
+
+def texture_size(fabric: Fabric) -> tuple[float, float]:
+    """Return width and height [m] of the whole texture, [0, 1] x [0, 1], on cloth at its start: means of |dx/du| and
+    |dx/dv| over its triangles, by area. Raises ValueError for cloth without texture coordinates.
+    """
+    corners = fabric.laid_out
+    if corners is None:
+        raise ValueError("cloth without texture coordinates")
+    points, faces = corners.points[corners.faces], fabric.faces
+    # x = x0 + (dx/du) u + (dx/dv) v on each triangle, so that its two sides have [e1 e2] = [dx/du dx/dv] [t1 t2].
+    sides = np.diff(fabric.position[faces], axis=1)
+    t = np.diff(points.astype(np.float64), axis=1)
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    det = t[:, 0, 0] * t[:, 1, 1] - t[:, 0, 1] * t[:, 1, 0]
+    flat = det != 0.0
+    along_u = (sides[flat, 0] * t[flat, 1, 1:] - sides[flat, 1] * t[flat, 0, 1:]) / det[flat, None]
+    along_v = (sides[flat, 1] * t[flat, 0, :1] - sides[flat, 0] * t[flat, 1, :1]) / det[flat, None]
+    width, height = (float(np.average(np.linalg.norm(per, axis=1), weights=area[flat])) for per in (along_u, along_v))
+    return width, height
+
+
+def check_texture(fabric: Fabric, name: str) -> None:
+    """Raise BadInput for a fabric without texture coordinates in [0, 1] x [0, 1], which dye cells need."""
+    corners = fabric.laid_out
+    if corners is None:
+        remedy = "dye a sheet or a skirt, or give the mesh texture coordinates"
+        raise BadInput("what is dyed needs texture coordinates, and this has none", value=name, remedy=remedy)
+    low, high = float(corners.points.min(initial=0.0)), float(corners.points.max(initial=1.0))
+    if not (low >= -UV_ROUNDING and high <= 1.0 + UV_ROUNDING):
+        problem = "texture coordinates leave the cloth that is dyed"
+        remedy = "lay the mesh's texture out without repeating it"
+        raise BadInput(problem, value=f"{low:g} to {high:g}", limit="0 to 1", remedy=remedy)

@@ -7,24 +7,142 @@ folder, and nothing that another role could use. The authority's key never leave
 from __future__ import annotations
 
 import base64
+import datetime
+import ipaddress
 import json
 import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import yaml
+from cryptography import x509
 from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509 import load_pem_x509_certificate
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pydantic import BaseModel, ConfigDict
 
-from nuno.bus import certificates
-from nuno.bus.certificates import AUTHORITY, ROUTER, Pair
 from nuno_schemas.errors import BadInput, nearest
+
+# A certificate authority of one deployment, and certificates that it signs (X.509 v3, RFC 5280).
+#
+# Keys are on the curve P-256, which all TLS 1.3 peers support. Only the router's certificate is for servers: with
+# that of a role nobody can pose as the router, though the same authority signed it. A role is the common name.
+
+ROUTER, AUTHORITY = "router", "authority"
+AUTHORITY_DAYS = 3650
+SKEW = datetime.timedelta(hours=1)
+"""Tolerance for the clocks of hosts: a certificate is valid from this time before its creation."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A certificate and its private key."""
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+    @property
+    def certificate_pem(self) -> bytes:
+        return self.certificate.public_bytes(Encoding.PEM)
+
+    @property
+    def key_pem(self) -> bytes:
+        """The key in PKCS 8, not encrypted: the file's mode protects it."""
+        return self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.UTC)
+
+
+def make_authority(name: str = "nuno") -> Pair:
+    """Make an authority that may only sign certificates."""
+    return _make(f"{name} {AUTHORITY}", None, AUTHORITY_DAYS, ())
+
+
+def sign(authority: Pair, role: str, days: float, hosts: tuple[str, ...] = ()) -> Pair:
+    """Make a certificate of one role. `hosts` are the names and addresses of the router.
+
+    Raises BadInput for a host that is neither.
+    """
+    return _make(role, authority, days, hosts if role == ROUTER else (role,))
+
+
+def _make(name: str, authority: Pair | None, days: float, hosts: tuple[str, ...]) -> Pair:
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    begin, end = now() - SKEW, now() + datetime.timedelta(days=days)
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(authority.certificate.subject if authority else subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(min(begin, end - SKEW))
+        .not_valid_after(end)
+        .add_extension(x509.BasicConstraints(ca=authority is None, path_length=None if authority else 0), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(_usage(signs=authority is None), critical=True)
+    )
+    if authority is not None:
+        serves = ExtendedKeyUsageOID.SERVER_AUTH if name == ROUTER else ExtendedKeyUsageOID.CLIENT_AUTH
+        issuer = x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key())
+        builder = (
+            builder.add_extension(x509.ExtendedKeyUsage([serves]), critical=True)
+            .add_extension(x509.SubjectAlternativeName([host_name(host) for host in hosts]), critical=False)
+            .add_extension(issuer, critical=False)
+        )
+    return Pair(builder.sign(authority.key if authority else key, SHA256()), key)
+
+
+def _usage(signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs, content_commitment=False, key_encipherment=False, data_encipherment=False,
+        key_agreement=False, key_cert_sign=signs, crl_sign=signs, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+
+
+def host_name(host: str) -> x509.GeneralName:
+    """Return a name or an address for a certificate. Raises BadInput for neither."""
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        pass
+    try:
+        if not host or not all(part.replace("-", "").isalnum() for part in host.split(".")):
+            raise ValueError
+        return x509.DNSName(host)
+    except ValueError:
+        remedy = "give names or addresses by which hosts reach the router, separated by commas"
+        raise BadInput("neither a host's name nor an address", field="--hosts", value=host, remedy=remedy) from None
+
+
+def load(certificate: bytes, key: bytes) -> Pair:
+    """Load a pair from PEM. Raises ValueError for invalid PEM, or a key of another certificate."""
+    loaded, private = x509.load_pem_x509_certificate(certificate), load_pem_private_key(key, None)
+    if not isinstance(private, ec.EllipticCurvePrivateKey) or private.public_key() != loaded.public_key():
+        raise ValueError("the key does not belong to the certificate")
+    return Pair(loaded, private)
+
+
+def name_of(certificate: x509.Certificate) -> str:
+    """Return the common name, which is the role."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def hosts_of(certificate: x509.Certificate) -> list[str]:
+    """Return the names and addresses of a certificate."""
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return [str(name.value) for name in names]
+
 
 # The rights of roles, from deploy/access.yaml to zenoh's access control, which a router enforces.
 #
@@ -124,7 +242,7 @@ class Kept:
 
     role: str
     path: Path
-    ends: datetime
+    ends: datetime.datetime
     hosts: tuple[str, ...]
     wrong: str = ""
     """The problem of the certificate, empty without one."""
@@ -150,7 +268,7 @@ def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> 
         if role not in known_roles:
             raise BadInput("no such role", field="--roles", value=role, remedy=nearest(role, known_roles))
     for host in hosts:
-        certificates.host_name(host)
+        host_name(host)
     if not 1 <= days <= MOST_DAYS:
         raise BadInput("a certificate holds for 1 day or more", "--days", value=days, limit=f"at most {MOST_DAYS}")
     for role in wanted:
@@ -163,7 +281,7 @@ def make(folder: Path, hosts: tuple[str, ...], wanted: list[str], days: int) -> 
         folder.chmod(0o700)
         existing = set(folder.iterdir())
         authority = _authority(folder)
-        pairs = {role: certificates.sign(authority, role, days, hosts) for role in wanted}
+        pairs = {role: sign(authority, role, days, hosts) for role in wanted}
         for role, pair in pairs.items():
             _write(_path(folder, role), configuration(role, pair, authority))
     except OSError as error:
@@ -188,15 +306,15 @@ def _check(folder: Path, role: str, trusted: bytes) -> Kept:
     path, wrong = _path(folder, role), ""
     try:
         certificate, signer, key = _read(path, role)
-        pair = certificates.load(certificate, key)
+        pair = load(certificate, key)
         authority = load_pem_x509_certificate(trusted)
         pair.certificate.verify_directly_issued_by(authority)
-        if signer != trusted or certificates.name_of(pair.certificate) != role:
+        if signer != trusted or name_of(pair.certificate) != role:
             raise ValueError("it is another role's, or another authority's")
     except (OSError, ValueError, KeyError, TypeError, InvalidSignature) as error:
         text = str(error) or "another authority signed it"
-        return Kept(role, path, certificates.now(), (), f"cannot be used: {text}; move it away and make it again")
-    if pair.certificate.not_valid_after_utc < certificates.now():
+        return Kept(role, path, now(), (), f"cannot be used: {text}; move it away and make it again")
+    if pair.certificate.not_valid_after_utc < now():
         wrong = "it has expired: move it away and make it again"
     elif path.stat().st_mode & 0o077:
         wrong = f"others can read its key: chmod 600 {path}"
@@ -212,12 +330,12 @@ def _authority(folder: Path) -> Pair:
     """Return the folder's authority, a new one if there is none. Raises BadInput where it is damaged."""
     certificate, key = _authority_paths(folder)
     if not certificate.exists() and not key.exists():
-        pair = certificates.make_authority()
+        pair = make_authority()
         _write(key, pair.key_pem)
         _write(certificate, pair.certificate_pem)
         return pair
     try:
-        return certificates.load(certificate.read_bytes(), key.read_bytes())
+        return load(certificate.read_bytes(), key.read_bytes())
     except (OSError, ValueError) as error:
         remedy = "begin anew in an empty folder; hosts then need all files again"
         raise BadInput(f"the authority cannot be used: {error}", value=str(folder), remedy=remedy) from None
@@ -263,7 +381,7 @@ def _read(path: Path, role: str) -> tuple[bytes, bytes, bytes]:
 def role_of(config: Path) -> str:
     """Return the common name in a client's configuration by `nuno certs`; "" for any other file."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        return certificates.name_of(load_pem_x509_certificate(_read(config, "")[0]))
+        return name_of(load_pem_x509_certificate(_read(config, "")[0]))
     return ""
 
 
@@ -276,5 +394,5 @@ def _text(content: bytes) -> str:
 
 
 def _kept(folder: Path, role: str, pair: Pair) -> Kept:
-    hosts = tuple(certificates.hosts_of(pair.certificate)) if role == ROUTER else ()
+    hosts = tuple(hosts_of(pair.certificate)) if role == ROUTER else ()
     return Kept(role, _path(folder, role), pair.certificate.not_valid_after_utc, hosts)
