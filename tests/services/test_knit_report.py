@@ -10,10 +10,10 @@ import pytest
 
 import nuno
 from nuno.cli import main
-from nuno.exports.paint import SIDES
+from nuno.exports.cloth import SIDES
 from nuno.exports.pictures import Painter
-from nuno.exports.tables import export_npz
 from nuno.recording.reader import open_recording
+from nuno.replay.frame_state import export_npz
 from nuno.report.show import lines
 from nuno.scene import files as shipped
 from nuno.scene import scene_file

@@ -19,9 +19,8 @@ from sewing_patterns import read_pattern
 
 import nuno
 from nuno.cli import main
-from nuno.exports.cloth import cut_pieces, read_frame, read_pieces
+from nuno.exports.cloth import cut_pieces, paint_stretch, read_frame, read_pieces
 from nuno.exports.meshes import export_mesh
-from nuno.exports.paint import paint_stretch
 from nuno.exports.pattern import export_pattern, strains
 from nuno.fit.measure import measure
 from nuno.plugin_contract.results import ContractError, check_fabric

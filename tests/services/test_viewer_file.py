@@ -19,17 +19,15 @@ import nuno
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno.cli import main
 from nuno.collision.bodies import surface, vertex_normals
-from nuno.exports.cloth import ShownPiece
-from nuno.exports.paint import INSET, paint_yarns
+from nuno.exports.cloth import INSET, ShownPiece, paint_yarns
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file
 from nuno.simulation import cloth as build
 from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
 from nuno.viewer.cloth import pack, read_image
-from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
-from nuno.viewer.require import require
-from nuno.viewer.service import with_own_textures
+from nuno.viewer.live import require
+from nuno.viewer.service import PIPES, RerunFile, with_own_textures
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
@@ -321,7 +319,7 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
     from rrd import columns
 
     from nuno.viewer.cloth import TABLE
-    from nuno.viewer.file import RerunFile
+    from nuno.viewer.service import RerunFile
 
     fabric = two_knits(tmp_path)
     assert fabric.springs is not None

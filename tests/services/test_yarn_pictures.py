@@ -11,8 +11,7 @@ from PIL import Image
 
 import nuno
 from nuno.cli import main
-from nuno.exports.cloth import read_frame, read_pieces, read_pressure
-from nuno.exports.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
+from nuno.exports.cloth import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns, read_frame, read_pieces, read_pressure
 from nuno.exports.pictures import Painter
 from nuno.exports.yarns import export_yarn_picture, find_camera, read_worn, styled
 from nuno.recording.reader import Recording, open_recording

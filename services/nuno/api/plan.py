@@ -62,7 +62,7 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
     if loaded.scene.moves:
         rows += _cloth(loaded)
     if loaded.scene.view.pictures is not None:
-        from nuno.render.artist import Artist
+        from nuno.exports.yarns import Artist
 
         Artist(loaded)  # refuses bad pictures, as with an eye inside a body
     if loaded.dye is not None:

@@ -23,7 +23,7 @@ from nuno.scene import files as shipped
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
-from nuno.viewer.require import has_screen
+from nuno.viewer.live import has_screen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import GROUPS
 

@@ -30,8 +30,7 @@ from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
-from nuno.viewer.live import keep_page
-from nuno.viewer.require import add_view, choose_view
+from nuno.viewer.live import add_view, choose_view, keep_page
 from nuno_schemas.dyeing import DyeView, Form
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FRAMES

@@ -28,8 +28,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.scene.templates import write_after
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.simulation.solver_selection.trials import Budget
-from nuno.viewer.live import keep_page
-from nuno.viewer.require import add_view, choose_view
+from nuno.viewer.live import add_view, choose_view, keep_page
 from nuno_schemas.errors import BadInput, nearest
 
 # `nuno new`: a commented scene to start from.

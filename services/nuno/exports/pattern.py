@@ -12,8 +12,7 @@ import numpy as np
 from PIL import Image
 
 from nuno.collision.bodies import outlines
-from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
-from nuno.exports.paint import STRETCH, paint_stretch
+from nuno.exports.cloth import STRETCH, Pieces, ShownPiece, check_size, paint_stretch, read_frame
 from nuno.output_files import check_target, load_extra, writing
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.colour import colours, to_srgb

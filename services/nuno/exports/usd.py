@@ -12,10 +12,19 @@ from PIL import Image
 
 from nuno.bus.encodings import origin_of
 from nuno.collision.bodies import vertex_normals
-from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
+from nuno.exports.cloth import (
+    BODY,
+    PLAIN,
+    Pieces,
+    ShownPiece,
+    body_vertices,
+    check_size,
+    paint_stretch,
+    read_bodies,
+    read_frame,
+)
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
-from nuno.exports.paint import BODY, PLAIN, paint_stretch
 from nuno.output_files import Progress, check_target, following, load_extra, writing
 from nuno.process import scratch
 from nuno.recording.reader import Recording, opened

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.dye.run import build_cloth
 from nuno.dye.supply import Supplies
-from nuno.exports.paint import as_png
+from nuno.exports.cloth import as_png
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
 from nuno.studio.cloth import Start

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nuno.exports.paint import as_png
+from nuno.exports.cloth import as_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import open_recording, shortcoming
 from nuno.scene import yaml_lines

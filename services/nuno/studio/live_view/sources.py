@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage
 from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
-from nuno.exports.paint import INSET, colour_of
+from nuno.exports.cloth import INSET, colour_of
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
 from nuno.simulation.cloth import join_fabrics

@@ -20,7 +20,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from nuno.process import scratch
 from nuno.studio.pages.guard import FILE, HEADERS, Guard, Refused
-from nuno.viewer.require import has_screen
+from nuno.viewer.live import has_screen
 from nuno_schemas.errors import BadInput
 
 LOGGER = logging.getLogger("nuno.studio.pages")
