@@ -21,8 +21,7 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import hub_at, identity, spoke
 from nuno.collision.service import Collision
 from nuno.recorder.service import Recorder
-from nuno.report.make import make_report
-from nuno.report.show import lines
+from nuno.report.run_report import lines, make_report
 from nuno.runtime import driver, supervisor
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import Options

@@ -20,7 +20,7 @@ import nuno
 from nuno.cli import main
 from nuno.collision.bodies import box_mesh
 from nuno.recording.reader import open_recording
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.scene import files as shipped
 from nuno.scene import scene_file
 from nuno.simulation import cloth

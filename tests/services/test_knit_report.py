@@ -14,7 +14,7 @@ from nuno.exports.cloth import SIDES
 from nuno.exports.pictures import Painter
 from nuno.recording.reader import open_recording
 from nuno.replay.frame_state import export_npz
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.scene import files as shipped
 from nuno.scene import scene_file
 from nuno.simulation import cloth

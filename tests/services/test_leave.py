@@ -22,8 +22,8 @@ from scenes import write_chain, write_scene
 import nuno
 from nuno import process
 from nuno.api import progress
+from nuno.api.plan import RuntimeEstimate, run_seconds
 from nuno.api.progress import ProgressLine
-from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.cli import main
 from nuno.formatting import roughly
 from nuno.runtime import launch

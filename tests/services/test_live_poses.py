@@ -28,7 +28,7 @@ from nuno.cli import main
 from nuno.collision.messages import POSES_QUERY, read_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment

@@ -18,12 +18,13 @@ from scenes import write_scene
 from sewing_patterns import read_pattern
 
 import nuno
+from nuno.api.fit import measure
 from nuno.cli import main
 from nuno.exports.cloth import cut_pieces, paint_stretch, read_frame, read_pieces
 from nuno.exports.meshes import export_mesh
 from nuno.exports.pattern import export_pattern, strains
-from nuno.fit.measure import measure
-from nuno.plugin_contract.results import ContractError, check_fabric
+from nuno.plugin_contract.guards import check_fabric
+from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read

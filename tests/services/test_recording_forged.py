@@ -18,7 +18,7 @@ import nuno
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, encode_arrays
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno.plugin_contract.results import ContractError
+from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.runtime.stepper import check_kept
 from nuno.scene.files import SceneFiles

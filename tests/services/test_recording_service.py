@@ -28,7 +28,7 @@ from nuno.recorder import service
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, count_gaps, find_lacks, open_recording, shortcoming
 from nuno.recording.writer import RecordingWriter, part_of, topic_of
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.scene import files as shipped

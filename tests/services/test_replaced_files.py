@@ -25,7 +25,7 @@ from nuno.recording.writer import part_of
 from nuno.runtime import log
 from nuno.runtime.log import written
 from nuno.runtime.supervisor import Supervisor
-from nuno.studio.draw.append import write_whole
+from nuno.studio.scenes import write_whole
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FrameStatus
 

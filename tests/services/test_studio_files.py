@@ -18,9 +18,10 @@ from nuno.cli import main
 from nuno.dye.run import build_cloth
 from nuno.scene import files as shipped
 from nuno.scene import scene_file
-from nuno.studio import arrivals, offers
+from nuno.studio import dropped_files as arrivals
+from nuno.studio import files as offers
 from nuno.studio.desk import Desk
-from nuno.studio.file_summary import look
+from nuno.studio.dropped_files import look
 from nuno_schemas.errors import BadInput
 
 OWN = shipped.folder()

@@ -18,9 +18,9 @@ import nuno
 from nuno.scene import files as shipped
 from nuno.scene import scene_file
 from nuno.studio import scenes
-from nuno.studio.dyed import at_start
-from nuno.studio.live_view.sources import see_scene
-from nuno.studio.pages.server import Server
+from nuno.studio.dye import at_start
+from nuno.studio.live_view import see_scene
+from nuno.studio.server import Server
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
+from nuno.api.plan import RuntimeEstimate, run_seconds
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
 from nuno.scene import scene_file

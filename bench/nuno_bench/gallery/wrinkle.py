@@ -16,7 +16,7 @@ from nuno.recording.recorded import Frame
 from nuno.scene import files as shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
-from nuno.studio.draw.lines import distance_to
+from nuno.studio.draw import distance_to
 from nuno_bench.gallery.kind import Difference, Gallery, read_picture, show_scene
 from nuno_schemas.fabric import Bool, Float, Int, State
 from nuno_schemas.pictures import Picture

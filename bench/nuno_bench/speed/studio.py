@@ -19,7 +19,7 @@ from nuno.runtime import runs
 from nuno.scene import files as shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server, page_files
+from nuno.studio.server import Server, page_files
 from nuno_bench.chromium import Page, find_browser
 from nuno_bench.report.page import Result
 from nuno_schemas.errors import RunFailed
@@ -95,7 +95,7 @@ def _results(found: dict[str, list[tuple[float, float]]], first: tuple[float, ..
     else:
         failure = "there is no Chromium here to open the page in (chromium or google-chrome on the PATH)"
         results.append(Result("studio", "pictures in Chromium", "pictures/s", failure=failure))
-    files = {name: len(body) for name, (_, body) in page_files("nuno.studio").items()}
+    files = {name: len(body) for name, (_, body) in page_files().items()}
     rest = sum(size for name, size in files.items() if name not in VIEWER) + len(scenes.schema())
     viewer = sum(files[name] for name in VIEWER) * 1e-6
     return [

@@ -18,10 +18,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from nuno.api.result import Result, table_of
-from nuno.api.run import run_loaded
-from nuno.api.scene import Scene, as_texts, loaded
-from nuno.api.words import in_python
+from nuno.api.run import Result, run_loaded, table_of
+from nuno.api.scene import Scene, as_texts, in_python, loaded
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
 from nuno.scene.scene_file import Loaded

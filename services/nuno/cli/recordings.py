@@ -24,7 +24,7 @@ from nuno.process import state_of
 from nuno.recording.reader import END, Lacks, Recording, find_lacks, open_recording, shortcoming
 from nuno.replay.publisher import Replay
 from nuno.replay.verification import Verification, verify
-from nuno.report.show import recorded_lines
+from nuno.report.run_report import recorded_lines
 from nuno.runtime import runs
 from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service

@@ -15,10 +15,10 @@ from nuno.scene import scene_file, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import apply_override, item_at
 from nuno.studio.desk import Desk
-from nuno.studio.draw.append import MARK, read_text
-from nuno.studio.draw.shown import require_lines
-from nuno.studio.live_view.sources import see_scene
-from nuno.studio.pages.server import serving
+from nuno.studio.draw import require_lines
+from nuno.studio.live_view import see_scene
+from nuno.studio.scenes import MARK, read_text
+from nuno.studio.server import serving
 from nuno_schemas.errors import BadInput
 
 

@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arrays
 from nuno.bus.messages import WAITING_AFTER
-from nuno.plugin_contract.results import ContractError, check_field, check_layout, check_skins
+from nuno.plugin_contract.values import ContractError, check_field, check_layout, check_skins
 from nuno.runtime.service import Context
 from nuno_schemas.bodies import SKIN, DistanceField, Geometry, Poses, Skin
 from nuno_schemas.errors import BadInput, RunFailed

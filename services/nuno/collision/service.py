@@ -21,7 +21,7 @@ from nuno.collision.messages import (
     encode_geometry,
     encode_poses,
 )
-from nuno.plugin_contract.results import ContractError, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import before_checkpoint, open_recording, recorded_poses
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays
-from nuno.plugin_contract.results import ContractError, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.dye import Cells
 from nuno_schemas.dyeing import Crop

@@ -9,7 +9,7 @@ from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from nuno.plugin_contract import guards as containment
+from nuno.plugin_contract import containment
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.plugin import GROUPS
 

@@ -18,7 +18,7 @@ import psutil
 from numpy.typing import NDArray
 
 from nuno.formatting import factor, megabytes, roughly
-from nuno.plugin_contract.results import ContractError, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import Recording, control_events, open_recording
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint, Recorded
 from nuno.scene.scene_file import Loaded

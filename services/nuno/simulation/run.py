@@ -20,7 +20,7 @@ from nuno.bus.encodings import decode_points, encode_points
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import body_distances
 from nuno.collision.messages import decode_poses
-from nuno.plugin_contract.results import ContractError, check_array
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.runtime.stepper import Stepped, Stepper, copy_into, fitting, hash_of
 from nuno.scene.chosen_plugins import Chosen
@@ -608,7 +608,7 @@ class Simulation(Stepper):
             fabric_values = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
             bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
             fabrics[int(number)] = fabric_from(fabric_values, fabrics[int(number)], origin, bound)
-            from nuno.plugin_contract.results import check_fabric  # it imports the types of all plugins, dye's too
+            from nuno.plugin_contract.guards import check_fabric  # it imports the types of all plugins, dye's too
 
             check_fabric(fabrics[int(number)])
         sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}

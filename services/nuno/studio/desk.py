@@ -17,19 +17,19 @@ from nuno.scene import edit, yaml_lines
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
-from nuno.studio import arrivals, paint, scenes
+from nuno.studio import dropped_files as arrivals
+from nuno.studio import dye as paint
+from nuno.studio import scenes
 from nuno.studio.cloth import Starts
-from nuno.studio.draw.append import MARK, read_text
-from nuno.studio.dyed import Dyed, cloth_of, worn
+from nuno.studio.dye import Dyed, cloth_of, worn
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.lines import Drawing
-from nuno.studio.pages.command_process import Child
-from nuno.studio.pages.guard import Refused
-from nuno.studio.pages.server import NOT_FOUND, Server, Take
-from nuno.studio.pages.worker import Workshop
+from nuno.studio.processes import Child, Workshop
 from nuno.studio.recordings import Recordings, run_of
 from nuno.studio.run import Run
+from nuno.studio.scenes import MARK, read_text
 from nuno.studio.screen import Screen
+from nuno.studio.server import NOT_FOUND, Refused, Server, Take
 from nuno_schemas.dyeing import PRESETS, DyeColour
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Preset
@@ -189,7 +189,7 @@ class Desk:
             "dyed": self.screen.dyed,
         }
         threading.Thread(target=self._begin_building, daemon=True).start()
-        return Server("nuno.studio", self.act, resources, Take(self.files.take, arrivals.MOST))
+        return Server(self.act, resources, Take(self.files.take, arrivals.MOST))
 
     def _begin_building(self) -> None:
         """Start the process that builds cloth, which takes seconds, before a scene is opened."""

@@ -21,8 +21,7 @@ from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
 from nuno.exports.meshes import sample
 from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.recording.recorded import Frame, Recorded
-from nuno.studio.live_view.snapshot import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
-from nuno.studio.live_view.sources import draw_bodies, size_of
+from nuno.studio.live_view import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS, draw_bodies, size_of
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -250,6 +250,6 @@ MESSAGES = (
         lambda folder: _texts("page"),
         _page,
         mutate_json,
-        ("nuno.studio.lines", "nuno.studio.draw.lines"),
+        ("nuno.studio.lines", "nuno.studio.draw"),
     ),
 )

@@ -6,10 +6,13 @@ import contextlib
 import json
 import logging
 import re
+import secrets
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from email.message import Message
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -19,18 +22,16 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
 from nuno.process import scratch
-from nuno.studio.pages.guard import FILE, HEADERS, Guard, Refused
 from nuno.viewer.live import has_screen
 from nuno_schemas.errors import BadInput
 
-LOGGER = logging.getLogger("nuno.studio.pages")
+LOGGER = logging.getLogger("nuno.studio")
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 MOST_CONNECTIONS = 32
 LEAVING = 1.0
 """Longest time for closing a connection to make room for another [s]."""
 IDLE = 30.0
 """Silence after which a connection ends [s]: longer than a page's longest wait for a resource."""
-SHARED = files("nuno.studio.pages") / "shared"
 NOT_FOUND, BAD_REQUEST, FAULT = 404, 400, 500
 
 Act = Callable[[Mapping[str, Any]], dict[str, Any]]
@@ -45,14 +46,13 @@ class Take(NamedTuple):
     most: int
 
 
-def page_files(package: str) -> dict[str, tuple[str, bytes]]:
-    """Return content type and bytes, by name, of the files of a package's page and of all pages' shared files."""
+def page_files() -> dict[str, tuple[str, bytes]]:
+    """Return content type and bytes, by name, of the files of the page."""
     contents = {}
-    for folder in (SHARED, files(package) / "page"):
-        for path in folder.iterdir():
-            kind = KINDS.get(path.name.rpartition(".")[2])
-            if kind is not None:
-                contents[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
+    for path in (files("nuno.studio") / "page").iterdir():
+        kind = KINDS.get(path.name.rpartition(".")[2])
+        if kind is not None:
+            contents[path.name] = (f"{kind}; charset=utf-8", path.read_bytes())
     return contents
 
 
@@ -71,7 +71,7 @@ def describe(error: BadInput) -> dict[str, Any]:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the page of a package on a free port of loopback, with a thread for each of a few connections.
+    """Serves the page on a free port of loopback, with a thread for each of a few connections.
 
     `act` carries out the page's requests; the page shows its BadInput. `resources` answer addresses other than the
     page's files. `take` receives files that are dropped on the page.
@@ -80,10 +80,10 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 4 * MOST_CONNECTIONS
 
-    def __init__(self, package: str, act: Act, resources: Mapping[str, Resource], take: Take | None = None) -> None:
+    def __init__(self, act: Act, resources: Mapping[str, Resource], take: Take | None = None) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.guard = Guard(int(self.server_address[1]))
-        self.act, self.resources, self.take, self.files = act, resources, take, page_files(package)
+        self.act, self.resources, self.take, self.files = act, resources, take, page_files()
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
         self.silent: dict[socket, None] = {}
         """Connections without a permitted request in progress, the oldest first."""
@@ -236,3 +236,81 @@ def door(address: str) -> Iterator[str]:
         path.touch(mode=0o600)
         path.write_text(f'<!doctype html><title>nuno</title><meta http-equiv="refresh" content="0; url={address}">')
         yield path.as_uri()
+
+
+# Access control of the page's server: it answers only the page that was opened by the address it printed.
+#
+# A server on loopback can be reached by any page that is open in a browser of this machine. Three checks keep those
+# out. The path begins with a random token, which no other page knows; the `Host` must be this server's own, which
+# defeats names that were made to point here (DNS rebinding); and the `Origin`, if the browser sends one, must be this
+# page's. Requests that change something must have an `Origin`, which browsers always send then.
+
+TOKEN_BYTES = 24
+FORBIDDEN, LENGTH_REQUIRED, TOO_LARGE, UNSUPPORTED = 403, 411, 413, 415
+MOST_BYTES = 4_000_000
+"""Largest body of a request: 100,000 points of lines fit."""
+JSON, FILE = "application/json", "application/octet-stream"
+"""Media types of requests: JSON, and a file's bytes."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Headers of every answer: the page loads nothing from elsewhere, and is not framed, cached, or sent as a referrer."""
+
+
+class Refused(Exception):
+    """A refused request: an HTTP status and a sentence."""
+
+    def __init__(self, status: int, why: str) -> None:
+        super().__init__(why)
+        self.status, self.why = status, why
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Checks of one server at a port of loopback."""
+
+    port: int
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
+
+    @property
+    def address(self) -> str:
+        """The address to open in a browser."""
+        return f"http://127.0.0.1:{self.port}/{self.token}/"
+
+    def check(self, method: str, path: str, headers: Message) -> str:
+        """Return the requested path below the token. Raises Refused."""
+        allowed = {f"127.0.0.1:{self.port}", f"localhost:{self.port}"}
+        hosts = headers.get_all("Host") or []
+        if len(hosts) != 1 or hosts[0] not in allowed:
+            raise Refused(FORBIDDEN, "this is not the host that was asked for")
+        token, _, rest = path.removeprefix("/").partition("/")
+        if not secrets.compare_digest(token.encode(), self.token.encode()):
+            raise Refused(FORBIDDEN, "open the whole address that nuno printed")
+        origins = headers.get_all("Origin") or []
+        same = len(origins) == 1 and origins[0] == f"http://{hosts[0]}"
+        if not same and (origins or method == "POST"):
+            raise Refused(FORBIDDEN, "another page may not ask here")
+        # Another page, such as a terminal in a browser, may have a link to the whole address.
+        followed = method == "GET" and headers.get("Sec-Fetch-Mode") == "navigate"
+        if not followed and headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+            raise Refused(FORBIDDEN, "another page may not ask here")
+        return rest
+
+    def length(self, headers: Message, most: int = MOST_BYTES, kind: str = JSON) -> int:
+        """Return the length of a body of the media type `kind` [bytes]. Raises Refused."""
+        text = headers.get("Content-Length", "")
+        if "Transfer-Encoding" in headers or not (text.isascii() and text.isdigit()):
+            raise Refused(LENGTH_REQUIRED, "a request says how long it is")
+        if len(text) > 12 or int(text) > most:
+            raise Refused(TOO_LARGE, f"a request has at most {most} bytes")
+        # Forms and images of other pages cannot send these types without a preflight request.
+        if headers.get_content_type() != kind:
+            raise Refused(UNSUPPORTED, f"a request is {kind}")
+        return int(text)

@@ -1,17 +1,98 @@
-"""Conversion of lines from the page to the forms of scenes, runs and files."""
+"""Drawn lines as items for a run, and in a scene's text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from nuno.plugin_contract import registry
+from nuno.scene import yaml_lines
+from nuno.scene.scene_file import Loaded
+from nuno.simulation import cloth
 from nuno.simulation.cloth import Piece
-from nuno.studio.live_view.snapshot import Sight
+from nuno.studio.live_view import Sight, see_objects
+from nuno.studio.scenes import append_items
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Fabric, Float, Int
+
+LIST, OPERATION = "operations", "wrinkle"
+Lines = Mapping[str, list[dict[str, Any]]]
+"""Lines in the form of a scene, by object."""
+
+
+class Settings(BaseModel):
+    """Settings of the page for all lines."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    passes: int = Field(default=8, ge=0, le=1000)
+    hierarchical: bool = False
+    keep: bool = False
+
+
+def as_operations(lines: Lines, settings: object) -> list[dict[str, Any]]:
+    """Return an operation for each object. Raises BadInput."""
+    try:
+        chosen = Settings.model_validate(settings or {})
+    except ValidationError:
+        raise BadInput("these are no settings of lines", field="settings", remedy="load the page again") from None
+    smoothing: dict[str, Any] = {"passes": chosen.passes} | ({"hierarchical": True} if chosen.hierarchical else {})
+    more: dict[str, Any] = {"smoothing": smoothing} | ({"keep": True} if chosen.keep else {})
+    return [{"plugin": OPERATION, "object": name, **more, "lines": rows} for name, rows in lines.items()]
+
+
+def as_items(lines: Lines, settings: object) -> list[str]:
+    """Return the items to add to a run, one for each object. Raises BadInput."""
+    items = []
+    for operation in as_operations(lines, settings):
+        plugin = operation.pop("plugin")
+        items.append(f"{plugin}: {json.dumps(operation)}")
+    return items
+
+
+class Trial:
+    """The cloth of a scene's objects at the start, for checks of lines before they are kept."""
+
+    def __init__(self, loaded: Loaded, fabrics: Sequence[Fabric]) -> None:
+        names = [spec.name for spec in loaded.scene.objects]
+        self._fabrics = dict(zip(names, fabrics, strict=True))
+        self._plugin = registry.load("nuno.operations", OPERATION)
+
+    def apply(self, operation: dict[str, Any]) -> None:
+        """Apply an operation of a scene and discard the result. Raises BadInput."""
+        fabric = self._fabrics[operation["object"]]
+        others = ("plugin", "object")
+        config = self._plugin.Config.model_validate({k: v for k, v in operation.items() if k not in others})
+        self._plugin.apply(config, fabric, cloth.start_state(fabric), None)
+
+
+def with_lines(
+    text: str, file: str, base: Sight, lines: Mapping[bool, Lines], settings: object, load: Callable[[str], Loaded]
+) -> str:
+    """Return a scene's text with lines added to it, and everything else unchanged. Raises BadInput.
+
+    Lines that are the first operation are given by triangles of `base` (`lines[True]`); after other operations, by
+    positions on the cloth at the start (`lines[False]`).
+    """
+    first = not yaml_lines.parse(text, file)[0].get(LIST)
+    operations = as_operations(lines[first], settings)
+    after = append_items(text, LIST, operations, file)
+    loaded = load(after)
+    sight, _, fabrics = see_objects(loaded)
+    if not np.array_equal(sight.faces, base.faces):
+        problem, remedy = "the lines were drawn on other triangles than the text's scene has", "draw them again"
+        raise BadInput(problem, file, remedy=remedy)
+    if first:
+        trial = Trial(loaded, fabrics)
+        for operation in operations:
+            trial.apply(operation)
+    return after
+
+
+# Conversion of lines from the page to the forms of scenes, runs and files.
 
 MOST_LINES, MOST_POINTS = 500, 20_000
 DIGITS = 5
@@ -157,3 +238,27 @@ def to_obj(strokes: Sequence[Stroke], sight: Sight) -> str:
         rows.append("l " + " ".join(map(str, [*range(start, start + len(points)), *ends])))
         start += len(points)
     return "\n".join(rows) + "\n"
+
+
+# Requirements of cloth for drawing lines.
+
+STRUCTURAL = 0
+"""Kind of the springs along the cloth's threads (nuno_schemas.fabric.Springs)."""
+
+
+def require_lines(loaded: Loaded, fabric: Fabric) -> None:
+    """Raise BadInput for cloth on which lines are impossible: they need springs along edges of its triangles."""
+    if not len(fabric.faces):
+        remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
+        raise loaded.at("objects[0].model", BadInput("cloth without triangles cannot be drawn on", remedy=remedy))
+    springs = fabric.springs
+    count = fabric.number
+    structural = np.zeros((0, 2), np.int64)
+    if springs is not None:
+        structural = springs.pairs()[springs.of_kind(STRUCTURAL)].astype(np.int64)
+    keys = np.sort(structural, axis=1) @ np.array([count, 1])
+    edges = np.sort(np.stack([fabric.faces, np.roll(fabric.faces, -1, axis=1)], axis=2).astype(np.int64), axis=2)
+    if not np.isin(edges @ np.array([count, 1]), keys).all(axis=1).any():
+        remedy = "give a mesh or a shirt tension: springs, a sheet or skirt cells: triangles"
+        problem = "lines cannot be drawn on this cloth: it has no springs along the edges of its triangles"
+        raise loaded.at("objects[0].model", BadInput(problem, remedy=remedy))
