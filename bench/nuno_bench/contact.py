@@ -21,8 +21,15 @@ from nuno_bench import machine, options
 from nuno_bench.piles import CLOTHS, Oracle, random_pile
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import SweepFile, require_kept
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    SweepFile,
+    add_executor_arguments,
+    open_executor,
+    require_kept,
+    versions,
+)
 from nuno_schemas.errors import BadInput
 
 # One random scene, stepped to its end: in which frames cloth passes through cloth, by ipctk and by our own check.

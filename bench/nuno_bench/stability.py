@@ -26,8 +26,18 @@ from nuno_bench.reference import PRIMARY, tight
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, reason_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import PackedScene, SweepFile, pack, require_kept, unpacked
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    PackedScene,
+    SweepFile,
+    add_executor_arguments,
+    open_executor,
+    pack,
+    require_kept,
+    unpacked,
+    versions,
+)
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
 

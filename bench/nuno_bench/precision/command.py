@@ -21,17 +21,19 @@ from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench import machine, options
-from nuno_bench.precision.settings import OwnSettings, add_own, choose_solvers
 from nuno_bench.precision.sweep import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
     Error,
+    OwnSettings,
     Runner,
     SolverPoint,
     Sweep,
+    add_own,
     by_solver,
     choice_rows,
+    choose_solvers,
     fit_order,
     judge,
     measure_errors,
@@ -43,8 +45,7 @@ from nuno_bench.reference import DISTURBANCE, LOST, Horizon, refer
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
-from nuno_bench.sweep.executor import versions
-from nuno_bench.sweep.storage import SweepFile, require_kept
+from nuno_bench.sweep.executor import SweepFile, require_kept, versions
 from nuno_schemas.errors import BadInput
 
 # What `nuno bench precision` shows: one set of tables and panels for page, screen, documentation and rerun file.

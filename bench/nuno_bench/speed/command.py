@@ -193,7 +193,7 @@ CASES = {
     "render": "leg:render",
     "dye": "steps:dye",
     "pipeline": "processes:pipeline",
-    "live": "live:live",
+    "live": "processes:live",
     "studio": "studio:studio",
     "start": "processes:start",
     "memory": "processes:memory",

@@ -27,8 +27,16 @@ from nuno.scene.validation_errors import GIVEN
 from nuno_bench import machine
 from nuno_bench.report import page
 from nuno_bench.report.page import number
-from nuno_bench.sweep.executor import Executor, LostTask, choose_executor, versions
-from nuno_bench.sweep.storage import PackedScene, SweepFile, pack_loaded, unpacked
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    PackedScene,
+    SweepFile,
+    choose_executor,
+    pack_loaded,
+    unpacked,
+    versions,
+)
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:
@@ -40,8 +48,7 @@ from nuno.cli.common import add_scene, load_scene
 from nuno.scene import yaml_lines
 from nuno_bench import options
 from nuno_bench.sweep import grid
-from nuno_bench.sweep.executor import add_executor_arguments, open_executor
-from nuno_bench.sweep.storage import require_kept
+from nuno_bench.sweep.executor import add_executor_arguments, open_executor, require_kept
 
 # `nuno sweep`: a scene run for each combination of values of its fields.
 

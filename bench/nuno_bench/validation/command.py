@@ -23,13 +23,15 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
-from nuno_bench.validation import contacts, dye, nets, oscillator, statics
+from nuno_bench.validation import contacts, dye, oscillator, statics
 from nuno_bench.validation.law import BrokenRun, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 # Every law against every installed solver, and what came out.
 
-CASES: tuple[Case, ...] = tuple(case for module in (oscillator, nets, statics, contacts, dye) for case in module.laws)
+CASES: tuple[Case, ...] = tuple(
+    case for laws in (oscillator.laws, statics.net_laws, statics.laws, contacts.laws, dye.laws) for case in laws
+)
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """Subject of the solvers of each group."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
