@@ -46,7 +46,13 @@ def scenes() -> dict[str, Path]:
 
 def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
     """Draw the stages of a recording, and measure its lines."""
-    frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
+    last = read_frame(recording)
+    first = round(min((one["at"] for one in _operations(loaded)), default=0.0) * loaded.scene.frame_rate)
+    before = read_frame(recording, first)
+    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
+    drawn = first + len(found)
+    half = (drawn + last.number) // 2
+    frames = found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
     pictures = [
         (f"{label}, {frame.t:.3g} s",
          read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
@@ -58,17 +64,6 @@ def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple
 def _operations(loaded: Loaded) -> list[dict[str, Any]]:
     """Return the time and the fields of each wrinkle operation."""
     return [{"at": float(one.at), **one.config} for one in loaded.scene.operations if one.plugin == "wrinkle"]
-
-
-def _stages(recording: Recording, operations: list[dict[str, Any]], rate: float) -> dict[str, Frame]:
-    """Frames by stage: the last before any line, where there is one, the next, one half way, and the last."""
-    last = read_frame(recording)
-    first = round(min((one["at"] for one in operations), default=0.0) * rate)
-    before = read_frame(recording, first)
-    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
-    drawn = first + len(found)
-    half = (drawn + last.number) // 2
-    return found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
 
 
 def _raise(loaded: Loaded, before: Frame) -> Float:

@@ -282,14 +282,11 @@ class Page:
             if message.get("id") == number:
                 assert "error" not in message, message
                 return dict(message["result"])
-            self._note(message)
-
-    def _note(self, message: dict[str, Any]) -> None:
-        if message.get("method") == "Runtime.exceptionThrown":
-            self.said.append(json.dumps(message["params"]["exceptionDetails"])[:600])
-        if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
-            entry = message["params"]["entry"]
-            self.said.append(f"{entry['text']}: {entry.get('url', '')}")
+            if message.get("method") == "Runtime.exceptionThrown":
+                self.said.append(json.dumps(message["params"]["exceptionDetails"])[:600])
+            if message.get("method") == "Log.entryAdded" and message["params"]["entry"]["level"] == "error":
+                entry = message["params"]["entry"]
+                self.said.append(f"{entry['text']}: {entry.get('url', '')}")
 
     def _read(self, patience: float) -> dict[str, Any]:
         end = time.monotonic() + patience

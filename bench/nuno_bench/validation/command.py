@@ -176,18 +176,6 @@ def validate_command(args: argparse.Namespace) -> int:
         width = max(len(case.name) for case in cases)
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
-    _check_files(args)
-    others = machine.OtherLoad()
-    with open_executor(args) as where:
-        outcomes = check_all(parts, where, lambda text: print(text, file=sys.stderr))
-    print("\n\n".join(case_tables(part, outcomes) for part in parts))
-    print("\n".join(["", *map(describe_bad, bad_table(outcomes).rows), summary(parts, outcomes)]))
-    report(parts, outcomes, machine.about(others)).write(args.html, args.json, args.docs, "validate")
-    return int(any(outcome.verdict == "failed" for outcome in outcomes))
-
-
-def _check_files(args: argparse.Namespace) -> None:
-    """Raises BadInput, before anything runs, for what could not be written afterwards."""
     if args.html is not None:
         plots.require_matplotlib()
     for flag in ("json", "html"):
@@ -195,6 +183,13 @@ def _check_files(args: argparse.Namespace) -> None:
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput("no such folder", field=f"--{flag}", value=str(path.parent), remedy="make it first")
     page.check_section(args.docs, "validate")
+    others = machine.OtherLoad()
+    with open_executor(args) as where:
+        outcomes = check_all(parts, where, lambda text: print(text, file=sys.stderr))
+    print("\n\n".join(case_tables(part, outcomes) for part in parts))
+    print("\n".join(["", *map(describe_bad, bad_table(outcomes).rows), summary(parts, outcomes)]))
+    report(parts, outcomes, machine.about(others)).write(args.html, args.json, args.docs, "validate")
+    return int(any(outcome.verdict == "failed" for outcome in outcomes))
 
 
 def case_tables(part: Suite, outcomes: Sequence[Outcome]) -> str:

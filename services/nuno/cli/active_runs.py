@@ -119,7 +119,12 @@ def top_command(args: argparse.Namespace) -> int:
             for lines in pairs:
                 print(show(lines), end="\n" if args.json else "\n\n", flush=True)
         else:
-            _show(run, map(show, pairs))
+            from rich.live import Live
+            from rich.text import Text
+
+            with Live(Text(f"{run}: looking ..."), auto_refresh=False, transient=False) as live:
+                for shown in map(show, pairs):
+                    live.update(Text(shown, no_wrap=True), refresh=True)
             print(f"{run} has ended")
     return 0
 
@@ -141,16 +146,6 @@ def look(bus: Bus, interval: float) -> Iterator[tuple[dict[str, Health], dict[st
         after = ask_health(bus, present)
         yield before, after
         before = after
-
-
-def _show(run: str, looks: Iterator[str]) -> None:
-    """Show the tables in place, on a terminal."""
-    from rich.live import Live
-    from rich.text import Text
-
-    with Live(Text(f"{run}: looking ..."), auto_refresh=False, transient=False) as live:
-        for shown in looks:
-            live.update(Text(shown, no_wrap=True), refresh=True)
 
 
 def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[Line]:

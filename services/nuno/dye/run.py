@@ -224,13 +224,6 @@ class DyeRun(Stepper):
             if event.frame < point.frame:
                 self.frame = event.frame
                 self.add(str(event.args["item"]))
-        self._restore(point)
-        # Additions in the checkpoint's frame may be in it already; repeating them changes nothing.
-        for event in changes:
-            if event.frame == point.frame:
-                self.add(str(event.args["item"]))
-
-    def _restore(self, point: Checkpoint) -> None:
         resist = point.arrays.get("resist")
         if resist is not None:
             copy_into({"resist": np.empty_like(self.cells.resist)}, {"resist": resist})
@@ -242,6 +235,10 @@ class DyeRun(Stepper):
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise BadInput(f"the checkpoint's supplies are not those of this scene: {error}") from None
         self.state.t = self.time
+        # Additions in the checkpoint's frame may be in it already; repeating them changes nothing.
+        for event in changes:
+            if event.frame == point.frame:
+                self.add(str(event.args["item"]))
 
     def add(self, item: str) -> str:
         """Add a supply or resist, `supply: {kind: drop, ...}`; return its field in the scene.
@@ -256,7 +253,8 @@ class DyeRun(Stepper):
             resists = cloth.plugin.resists(cloth.config, self.cells, changed.files)
         except BadInput as error:
             raise changed.at("dye.cloth", error) from None
-        loaded = as_run(changed, previous)
+        kept = {name: getattr(previous, name) for name in ("file", "lines", "files", "overrides", "path")}
+        loaded = replace(changed, **kept)
         if len(supplies) > len(self.supplies.entries):
             stop = supplies[-1].stop
             if stop is not None and stop <= self.time:
@@ -349,12 +347,6 @@ class RecordedFiles(SceneFiles):
                 remedy=f"an added resist may use {allowed}; or a shape, a paste, a binding",
             )  # fmt: skip
         return self.used[name]
-
-
-def as_run(changed: Loaded, running: Loaded) -> Loaded:
-    """Return the extended scene with name, lines and files of the running one."""
-    kept = {name: getattr(running, name) for name in ("file", "lines", "files", "overrides", "path")}
-    return replace(changed, **kept)
 
 
 def resist_around(phi: Float, cells: Cells, before: Float, after: Float) -> Float:

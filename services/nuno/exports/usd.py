@@ -126,7 +126,7 @@ class _Writer:
                     self.add_cloth(piece, x[piece.start : piece.stop] - origin, code)
             points = body_vertices(self.recording, bodies, shown.t)
             if bodies is not None and len(points):
-                self.add_bodies(points - origin, bodies.faces, code)
+                self.bind(self.add_mesh(BODIES, points - origin, bodies.faces, None, code), BODY)
             if done % AT_ONCE == 0:
                 self.stage.Save()
         if shown is None or not self.shaped:
@@ -196,10 +196,6 @@ class _Writer:
                 subset.GetFamilyNameAttr().Set("panel")
                 subset.GetIndicesAttr().Set(vt.IntArray.FromNumpy(np.arange(first, stop, dtype=np.int32)), when)
                 subset.GetPrim().SetDisplayName(name)
-
-    def add_bodies(self, x: Float, faces: Int, code: Any) -> None:
-        """Add all bodies as one mesh."""
-        self.bind(self.add_mesh(BODIES, x, faces, None, code), BODY)
 
     def colour(self, piece: ShownPiece) -> None:
         """Give a piece its material, by its image, else its colour, unless it is painted by its stretch."""

@@ -327,7 +327,11 @@ class Follower:
             while not self._stop.is_set() and not self._ended:
                 begin = time.monotonic()
                 if not self._receive():
-                    self._check_status()
+                    if self.run not in runs.running():
+                        raise RunFailed("the run is over")
+                    status = self._bus.ask_json("control", {"action": "status"}, ASK)
+                    if status["state"] != self.board.now.state:
+                        self.board.show(state=str(status["state"]))
                     continue
                 if self.board.wanted(PAUSE):  # only shown frames are decoded
                     self._receive(0.0)
@@ -362,14 +366,6 @@ class Follower:
             self._ended = event.text
         elif event.kind == "control" and event.text in SAYS:
             self.board.show(state=SAYS[event.text])
-
-    def _check_status(self) -> None:
-        """After a silence, show whether the run is paused. Raises RunFailed if it has ended."""
-        if self.run not in runs.running():
-            raise RunFailed("the run is over")
-        status = self._bus.ask_json("control", {"action": "status"}, ASK)
-        if status["state"] != self.board.now.state:
-            self.board.show(state=str(status["state"]))
 
     def _show_newest(self) -> None:
         newest, self._newest = self._newest, {}

@@ -94,7 +94,13 @@ class Workshop:
             good, result = self._line.recv()
         except BadInput:
             if self._process is not None:
-                self._interrupt(self._process)
+                self._process.terminate()
+                try:
+                    if not self._line.poll(GRACE):
+                        raise EOFError
+                    self._line.recv_bytes()
+                except (OSError, EOFError):
+                    self._kill()
             raise
         except (OSError, EOFError, psutil.Error):  # it was killed, for lack of memory or by a user
             self._kill()
@@ -102,16 +108,6 @@ class Workshop:
         if not good:
             raise result
         return result
-
-    def _interrupt(self, process: subprocess.Popen[bytes]) -> None:
-        """Interrupt the task; keep the process with its caches, unless it does not respond in time."""
-        process.terminate()
-        try:
-            if not self._line.poll(GRACE):
-                raise EOFError
-            self._line.recv_bytes()
-        except (OSError, EOFError):
-            self._kill()
 
     def _kill(self) -> None:
         if self._process is not None:
