@@ -71,8 +71,8 @@ YARNS = ("samples", "radius", "curl")
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
-class ExportFiles(BaseModel):
-    """Requested files, by the names of FILES."""
+class ExportRequest(BaseModel):
+    """A request of files, by the names of FILES, and its settings, with the names of the flags of `nuno export`."""
 
     model_config = ConfigDict(extra="forbid")
     npz: Path | None = None
@@ -91,11 +91,6 @@ class ExportFiles(BaseModel):
     pattern: Path | None = None
     yarns: Path | None = None
     scene: Path | None = None
-
-
-class ExportRequest(ExportFiles):
-    """A request of files, and its settings, with the names of the flags of `nuno export`."""
-
     form: Form | None = None
     samples: int | None = None
     radius: str | float | None = None

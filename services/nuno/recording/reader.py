@@ -48,13 +48,21 @@ from nuno_schemas.messages import (
     Header,
 )  # fmt: skip
 
-# The file of a recording: messages in order or from the end, with every damage reported.
-
 MOST_FRAMES = 2**31
 
 
-class RecordedFile:
-    """The messages of a recording, without their meaning. Close it, or use it in a `with`.
+END = "end"
+"""Name of the closing metadata, which only a finished recording has."""
+SERIES = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
+"""Fields of a status that are columns, where it has them."""
+SERVICE_COLUMNS = ("steps", "step_seconds")
+"""Columns of each service; those of a garment's dye are dye_steps, dye_step_seconds."""
+TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
+"""Mappings in a status: each entry is a column, `energy_kinetic`."""
+
+
+class Recording:
+    """A recording on disk. Close it, or use it in a `with`.
 
     Opening it reads all of it, and a cut or damaged file up to there; with `scan` false only the index, if it has one:
     for its metadata and span, not its messages. Raises BadInput where the file is missing, no recording, or (while
@@ -85,6 +93,7 @@ class RecordedFile:
             raise
         self._read: tuple[int, list[Message]] = -1, []
         """Position of the chunk that was read last, and its messages."""
+        self._marks: dict[str, dict[int, tuple[int, str]]] = {}
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Self:
@@ -256,27 +265,6 @@ class RecordedFile:
         except (Damaged, BadMessage, IndexError) as error:
             remedy = "the disk or a copy changed it: take another copy"
             raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None
-
-
-END = "end"
-"""Name of the closing metadata, which only a finished recording has."""
-SERIES = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
-"""Fields of a status that are columns, where it has them."""
-SERVICE_COLUMNS = ("steps", "step_seconds")
-"""Columns of each service; those of a garment's dye are dye_steps, dye_step_seconds."""
-TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
-"""Mappings in a status: each entry is a column, `energy_kinetic`."""
-
-
-class Recording(RecordedFile):
-    """A recording on disk. Close it, or use it in a `with`.
-
-    Raises BadInput as `RecordedFile` does.
-    """
-
-    def __init__(self, path: Path | str, scan: bool = True) -> None:
-        super().__init__(path, scan)
-        self._marks: dict[str, dict[int, tuple[int, str]]] = {}
 
     @property
     def complete(self) -> bool:
