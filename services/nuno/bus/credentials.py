@@ -62,11 +62,6 @@ def now() -> datetime.datetime:
     return datetime.datetime.now(datetime.UTC)
 
 
-def make_authority(name: str = "nuno") -> Pair:
-    """Make an authority that may only sign certificates."""
-    return _make(f"{name} {AUTHORITY}", None, AUTHORITY_DAYS, ())
-
-
 def sign(authority: Pair, role: str, days: float, hosts: tuple[str, ...] = ()) -> Pair:
     """Make a certificate of one role. `hosts` are the names and addresses of the router.
 
@@ -330,7 +325,7 @@ def _authority(folder: Path) -> Pair:
     """Return the folder's authority, a new one if there is none. Raises BadInput where it is damaged."""
     certificate, key = _authority_paths(folder)
     if not certificate.exists() and not key.exists():
-        pair = make_authority()
+        pair = _make(f"nuno {AUTHORITY}", None, AUTHORITY_DAYS, ())  # which may only sign certificates
         _write(key, pair.key_pem)
         _write(certificate, pair.certificate_pem)
         return pair

@@ -252,13 +252,13 @@ Ports = tuple[int, int]
 """Ports of a connection: the hub's, and the other end's."""
 
 
-def queues(tables: tuple[Path, ...] = TABLES) -> dict[Ports, tuple[int, int]]:
+def queues() -> dict[Ports, tuple[int, int]]:
     """Return the unsent and unread bytes of each TCP connection of this host; empty on systems other than Linux.
 
     A line holds `index: address:port address:port state unsent:unread ...`, all in hexadecimal (proc(5)).
     """
     waiting: dict[Ports, tuple[int, int]] = {}
-    for table in tables:
+    for table in TABLES:
         with contextlib.suppress(OSError):
             for line in table.read_text().splitlines()[1:]:
                 fields = line.split()

@@ -13,7 +13,6 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, Pipe
-from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -164,15 +163,13 @@ END_PATIENCE = 20.0
 class Child:
     """A command in a process that starts with this object."""
 
-    def __init__(self, arguments: Sequence[str], folder: Path | None = None) -> None:
+    def __init__(self, arguments: Sequence[str]) -> None:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - open while the command runs
         self._said: str | None = None
         self._reading = threading.Lock()
         # -P: a module of the user's folder must not stand in for one of ours.
         command = [sys.executable, "-P", "-m", "nuno", *arguments]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=self._log, stderr=subprocess.STDOUT, cwd=folder
-        )
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=self._log, stderr=subprocess.STDOUT)
 
     @property
     def code(self) -> int | None:
