@@ -1,4 +1,4 @@
-"""Messages of a running simulation, from its bus."""
+"""Runs that go on: their messages from the bus, and bodies that a program moves."""
 
 from __future__ import annotations
 

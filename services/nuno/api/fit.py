@@ -1,4 +1,4 @@
-"""The garments of a recording, and the body that wears them."""
+"""Fit of the garments of a recording on the body that wears them: girths and ease, strain, seams, pressure."""
 
 from __future__ import annotations
 

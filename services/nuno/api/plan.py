@@ -1,4 +1,4 @@
-"""The plan of a run: services, features left out and why, stable step, estimated cost."""
+"""The plan of a run: services, features left out and why, stable step, and its estimated time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs, from a script or a notebook."""
+"""Runs, from a script or a notebook, and their results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes as objects, and as arguments of calls."""
+"""Scenes as objects, and as arguments of calls, whose errors name the arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All bodies of a scene as one geometry, and their poses."""
+"""All bodies of a scene as one geometry, their poses, and their surfaces for drawing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live bodies: their poses come from outside during the run.
+"""Bodies on the bus: geometry once, poses a frame, and poses that come from outside during the run.
 
 Each frame has one pose of each body, and the run goes on with any input: unreadable poses are refused with a warning,
 bodies follow jumps at their greatest speed, and without input they stay in place, or the run ends.

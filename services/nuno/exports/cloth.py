@@ -1,4 +1,4 @@
-"""Pieces of cloth and bodies at a frame of a recording, as arrays."""
+"""Pieces of cloth and bodies at a frame of a recording, as arrays, and their colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Export of frames as OBJ, PLY and glTF files."""
+"""Export of frames as OBJ, PLY and glTF files; and a recording as coloured shapes in moving frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ray-traced pictures of knits: yarns as curves on skin, straight lines, the density of stitches."""
+"""Yarns of knits: as files of curves, and in ray-traced pictures, of a recording or of a scene that runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One indexed MCAP file, written without copying payloads.
+"""MCAP files: a writer that copies no payloads, and the layout of a file, from a scan that trusts no length in it.
 
 Rejected: the mcap library's writer, which copies a message into its chunk and the chunk into a
 record: it allocates twice a checkpoint's payload, where a tenth is allowed

@@ -1,4 +1,4 @@
-"""Reader of recordings; cut or damaged ones are read up to there."""
+"""Reader of recordings: messages, frames, checkpoints and what is missing; cut or damaged ones are read up to there."""
 
 from __future__ import annotations
 

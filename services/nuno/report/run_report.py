@@ -1,4 +1,4 @@
-"""A report as rows of text."""
+"""The report of a run: made from what its services say, and shown as rows of text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Launch of a run's services: as threads of this process, or as separate processes."""
+"""Plan of a run's services, and their launch: as threads of this process, or as separate processes."""
 
 from __future__ import annotations
 

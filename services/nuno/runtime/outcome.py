@@ -1,4 +1,4 @@
-"""The outcome of a run: its state at the end, and its problem in words."""
+"""The outcome of a run: its state at the end, and its problem and crossings in words."""
 
 from __future__ import annotations
 

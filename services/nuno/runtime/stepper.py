@@ -1,4 +1,4 @@
-"""What is stepped frame by frame, cloth or dye, independent of how it is sent."""
+"""What is stepped frame by frame, cloth or dye, independent of how it is sent; also from a recording's checkpoint."""
 
 from __future__ import annotations
 

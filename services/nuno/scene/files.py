@@ -1,4 +1,4 @@
-"""Files that a scene names, which must be inside its folder or a root of the user."""
+"""Files that a scene names, inside its folder or a root of the user; and the scenes that come with nuno."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes of garments on a body, which `nuno sew` writes."""
+"""Scenes to start from: garments on a body, a laboratory's fabric, commented copies of shipped scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawn lines as items for a run, and in a scene's text."""
+"""Lines drawn on cloth: their forms for scenes, runs and files, and the cloth that can have them."""
 
 from __future__ import annotations
 

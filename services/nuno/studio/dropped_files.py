@@ -1,4 +1,4 @@
-"""Summary of a file: its kind, its figures, and its errors in the words of the command line."""
+"""Files that are dropped on the page: stored under an unused name, and summed up by kind, figures and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of the studio's folder: accepted when dropped on the page, described, and turned into scenes."""
+"""Files of the studio's folder: accepted when dropped on the page, described, and turned into scenes by offers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes the sight of a scene, or of a run's messages."""
+"""The cloth and bodies that the page shows: of a scene at its start, or of a run that goes on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow work of a page in another process, so that it can be cancelled and the page stays responsive."""
+"""Slow work and commands of the page in other processes, so that it can be cancelled and the page stays responsive."""
 
 from __future__ import annotations
 

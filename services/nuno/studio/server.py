@@ -1,4 +1,4 @@
-"""A page's server: files of the page, resources at its own addresses, and requests."""
+"""The page's server: files of the page, resources at its own addresses, requests, and who may send them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One piece of cloth in rerun: a shaded mesh, or the springs and masses of a net."""
+"""Cloth and bodies in rerun: shaded meshes, the springs and masses of a net, skins with moving vertices."""
 
 from __future__ import annotations
 

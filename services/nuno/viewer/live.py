@@ -1,4 +1,4 @@
-"""A live view that never slows a run."""
+"""A live view that never slows a run, and the options of commands that open one."""
 
 from __future__ import annotations
 

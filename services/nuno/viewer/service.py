@@ -1,4 +1,4 @@
-"""The viewer service: shows a run in rerun, live, in a file, or both."""
+"""The viewer service: shows a run in rerun, live, in a file, or both; and writes rerun files of recordings."""
 
 from __future__ import annotations
 

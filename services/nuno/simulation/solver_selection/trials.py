@@ -1,4 +1,4 @@
-"""Error of a step, measured on a scene's first frames.
+"""Trials of solvers on a scene's first frames, within a budget of time: the error of a step.
 
 A run at some step and one at half of it differ by the error of the first times (2^p - 1) / 2^p for a method of
 order p. Positions count only as long as they can be predicted (GROWTH).
