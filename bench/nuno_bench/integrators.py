@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno_bench import machine, options
 from nuno_bench.problem import make_problem

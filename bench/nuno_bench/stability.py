@@ -18,8 +18,7 @@ import numpy as np
 
 from nuno.formatting import duration
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench import machine, options
 from nuno_bench.problem import Problem, Run, Series, lengths_at_rest, make_problem, simulate
 from nuno_bench.reference import PRIMARY, tight

@@ -24,7 +24,6 @@ from nuno_schemas.operation import Beside, Outcome
 from nuno_schemas.pictures import Mesh, frame
 from nuno_schemas.system import System, Term
 from nuno_testing import bodies, integrators
-from nuno_testing import integrators as rides
 from nuno_testing.subject import Subject, made_twice
 
 # The contract of forces, tested on a sheet without springs with nuno's own solvers.
@@ -472,7 +471,7 @@ OWN: Mapping[str, tuple[Callable[[Subject], None], ...]] = {
     "nuno.models": MODELS,
     "nuno.operations": OPERATIONS,
     "nuno.forces": FORCES,
-    "nuno.integrators": integrators.INTEGRATORS + rides.RIDES,
+    "nuno.integrators": integrators.INTEGRATORS + integrators.RIDES,
     "nuno.colliders": bodies.COLLIDERS,
     "nuno.motions": bodies.MOTIONS,
     "nuno.contacts": CONTACTS,

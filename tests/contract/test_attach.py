@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from nuno.collision.bodies import build_bodies
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.start_checks import check_worn
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses

@@ -12,8 +12,7 @@ import yaml
 
 from nuno.cli import main
 from nuno.cli.textiles import KINDS, find_presets, table
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.json_schema import scene_schema
 from nuno_schemas.dyeing import PRESETS, DyeColour, Dyestuff
 from nuno_schemas.errors import BadInput

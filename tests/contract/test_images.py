@@ -13,7 +13,7 @@ from model_files import Folder
 from PIL import Image
 from pydantic import TypeAdapter, ValidationError
 
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.json_schema import scene_schema
 from nuno_cloth.models.placement import find_texture
 from nuno_dye.cloths.photograph_cloth import read_photograph

@@ -15,8 +15,7 @@ import yaml
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.json_schema import scene_schema
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings

@@ -14,8 +14,7 @@ from nets import make_system, start
 from numba.core import event
 
 from nuno.runtime.stepper import hash_of
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.costs import MOST_STARTS, Stage
 from nuno.simulation.run import Simulation

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from tangles import EDGE, KINDS, SIDE, Random, Sheet, across, bump, cloth_of, crosses, moved, poke, sheet, tangle
 
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_contact.untangle.plugin import Untangle, UntangleConfig
 from nuno_schemas.errors import BadInput

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from nuno.cli import parser_of
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import knit as knit_gallery
 from nuno_bench.gallery.kind import EFFECT, Difference, ShownScene, compare

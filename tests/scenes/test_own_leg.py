@@ -11,7 +11,7 @@ import trimesh
 import yaml
 
 from nuno.cli.common import load_scene
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
 from nuno_contact.figures.leg import leg_mesh

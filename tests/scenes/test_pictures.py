@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 
 FOLDER = shipped.folder() / "pictures"
 SIZE, MOST, MOST_IN_ALL = (288, 216), 12_000, 600_000

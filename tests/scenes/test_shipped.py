@@ -16,8 +16,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.run import Simulation
 from nuno_integrators.implicit import linear_solve as solver

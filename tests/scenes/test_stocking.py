@@ -13,8 +13,7 @@ import pytest
 import nuno
 from nuno.cli import main
 from nuno.collision.bodies import build_bodies
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.relax import BALANCED
 from nuno.simulation.run import Simulation
 from nuno_integrators.diagnostics import profile_steps

@@ -8,7 +8,7 @@ from typing import Any
 
 from viewer_run import Fed
 
-from nuno.viewer.service import RerunFile
+from nuno.viewer.file import RerunFile
 
 
 def columns(path: Path, name: str) -> dict[str, list[Any]]:

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from nuno.scene import files as shipped
-from nuno.scene import yaml_lines
+from nuno.scene import shipped, yaml_lines
 from nuno.scene.override import item_at
 from nuno.scene.yaml_lines import dotted
 

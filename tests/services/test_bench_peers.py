@@ -19,8 +19,7 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.peers import command as peers
 from nuno_bench.peers import page as peer_page

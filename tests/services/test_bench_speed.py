@@ -13,8 +13,7 @@ import pytest
 from nuno.cli import main
 from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import DISTURBED
 from nuno_bench.piles import pile

@@ -17,8 +17,7 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench import stability
 from nuno_bench.integrators import SERIES, SPLIT, Trace, compare_with_paper, report, run_variant
 from nuno_bench.problem import Series

@@ -21,8 +21,7 @@ from nuno.cli import main
 from nuno.collision.bodies import box_mesh
 from nuno.recording.reader import open_recording
 from nuno.report.run_report import lines
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.cloth import build_start
 from nuno.simulation.run import Simulation

@@ -18,8 +18,7 @@ from studio_desk import studio
 import nuno
 from nuno.cli.studio import open_desk
 from nuno.recording.reader import control_events
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.simulation.cloth import Piece
 from nuno.studio.desk import Desk
 from nuno.studio.draw import by_object, positions, read_strokes

@@ -149,7 +149,7 @@ def test_a_texture_that_comes_before_its_object_is_worn(run: Path, tmp_path: Pat
     from rrd import read
 
     from nuno.viewer.dyed import viewer_painter
-    from nuno.viewer.service import RerunFile
+    from nuno.viewer.file import RerunFile
 
     file = RerunFile(tmp_path / "a.rrd", "run", painter=viewer_painter(scene_file.read(run / "scene.yaml")))
     with nuno.open(run / "run.mcap") as recording:

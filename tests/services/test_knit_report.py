@@ -15,8 +15,7 @@ from nuno.exports.pictures import Painter
 from nuno.recording.reader import open_recording
 from nuno.replay.frame_state import export_npz
 from nuno.report.run_report import lines
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.yarns import measure_courses
 from nuno_schemas.colour import colours

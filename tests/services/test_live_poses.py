@@ -32,8 +32,7 @@ from nuno.report.run_report import lines
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Poses

@@ -12,8 +12,7 @@ from refusals import largest_file
 
 from nuno.cli import main
 from nuno.cli.run import KINDS
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.edit import WIDTH, comment
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno_schemas.scene import Scene

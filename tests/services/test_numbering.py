@@ -18,8 +18,7 @@ from nuno.exports.meshes import export_mesh
 from nuno.replay.verification import Verification, verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth as build
 from nuno.simulation import renumbering
 from nuno.simulation.renumbering import find_numbers, invert, keep_numbers, renumber

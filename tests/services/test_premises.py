@@ -15,8 +15,7 @@ from nuno.runtime import runs, supervisor
 from nuno.runtime.consistency import compare, leaves, premises_of
 from nuno.runtime.service import Options, run_service
 from nuno.runtime.supervisor import Deployment, Outcome
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.errors import BadInput, RunFailed

@@ -31,8 +31,7 @@ from nuno.recording.writer import RecordingWriter, part_of, topic_of
 from nuno.report.run_report import lines
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import describe_run
 from nuno.simulation.run import Simulation
 from nuno_schemas.errors import BadInput, RunFailed

@@ -14,8 +14,7 @@ import yaml
 from scenes import write_chain
 
 import nuno
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth as build
 from nuno.simulation.relax import REST_TIME, Stillness
 from nuno.simulation.run import Simulation

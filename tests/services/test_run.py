@@ -28,8 +28,7 @@ from nuno.runtime import supervisor as oversight
 from nuno.runtime.driver import WINDOW
 from nuno.runtime.service import Context, Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.warnings import scene_warnings
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import ask_poses, take_poses

@@ -13,8 +13,7 @@ from studio_desk import FILE, SHEET, ask
 import nuno
 from nuno.api.plan import describe
 from nuno.recording.writer import part_of
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import page_files
 from nuno_schemas.errors import BadInput

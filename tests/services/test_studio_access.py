@@ -26,7 +26,7 @@ from browser import Page
 from live_run import PATIENCE, wait_until
 from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.studio import dropped_files as arrivals
 from nuno.studio.desk import Desk
 from nuno.studio.server import FILE as BYTES

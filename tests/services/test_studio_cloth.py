@@ -18,8 +18,7 @@ from nuno.cli.active_runs import NEEDS
 from nuno.exports.cloth import read_pieces
 from nuno.runtime import runs
 from nuno.runtime.supervisor import control
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
 from nuno.studio.live_view import see_scene

@@ -9,8 +9,7 @@ import pytest
 from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from nuno.scene import files as shipped
-from nuno.scene import yaml_lines
+from nuno.scene import shipped, yaml_lines
 from nuno.scene.edit import drop, put
 from nuno.scene.yaml_lines import Path
 from nuno_schemas.errors import BadInput

@@ -16,8 +16,7 @@ from studio_desk import FILE
 
 from nuno.cli import main
 from nuno.dye.run import build_cloth
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio import dropped_files as arrivals
 from nuno.studio import files as offers
 from nuno.studio.desk import Desk

@@ -9,7 +9,7 @@ import pytest
 from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server, page_files
 

@@ -15,8 +15,7 @@ import nuno
 from nuno.api.plan import describe
 from nuno.plugin_contract import registry
 from nuno.report.run_report import lines
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk, swatches
 from nuno.studio.server import Server
 from nuno_schemas.dyeing import PRESETS

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
 from nuno.studio.dye import Flat, at_start, simplified

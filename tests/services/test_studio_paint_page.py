@@ -15,8 +15,7 @@ from PIL import Image
 from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 
 import nuno
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.studio import scenes
 from nuno.studio.dye import at_start
 from nuno.studio.live_view import see_scene

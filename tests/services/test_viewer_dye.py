@@ -23,8 +23,8 @@ from nuno.dye.painter import DyePainter
 from nuno.scene import scene_file
 from nuno.viewer import dyed
 from nuno.viewer.bridge import Bridge
+from nuno.viewer.file import RerunFile
 from nuno.viewer.live import Ring
-from nuno.viewer.service import RerunFile
 from nuno.viewer.stream import read_painter, scene_of
 from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
 

@@ -25,9 +25,10 @@ from nuno.scene import scene_file
 from nuno.simulation import cloth as build
 from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
 from nuno.viewer.cloth import pack, read_image
+from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.live import require
-from nuno.viewer.service import PIPES, RerunFile, with_own_textures
+from nuno.viewer.service import with_own_textures
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
@@ -319,7 +320,7 @@ def test_links_show_their_tension_where_the_view_says_so(tmp_path: Path) -> None
     from rrd import columns
 
     from nuno.viewer.cloth import TABLE
-    from nuno.viewer.service import RerunFile
+    from nuno.viewer.file import RerunFile
 
     fabric = two_knits(tmp_path)
     assert fabric.springs is not None

@@ -17,8 +17,8 @@ from viewer_run import messages
 import nuno
 from nuno.bus.sessions import free_port
 from nuno.cli import main
+from nuno.viewer.file import RerunFile
 from nuno.viewer.layout import BACKGROUND
-from nuno.viewer.service import RerunFile
 from nuno_schemas.scene import View
 
 DRIVERS = [Path(folder) for folder in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")]

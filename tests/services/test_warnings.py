@@ -14,7 +14,7 @@ import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
 from nuno.report.run_report import lines
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import load, read
 from nuno.scene.warnings import scene_warnings

@@ -19,8 +19,7 @@ from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.kind import ShownScene, compare
 from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn

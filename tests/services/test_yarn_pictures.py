@@ -15,8 +15,7 @@ from nuno.exports.cloth import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns, 
 from nuno.exports.pictures import Painter
 from nuno.exports.yarns import export_yarn_picture, find_camera, read_worn, styled
 from nuno.recording.reader import Recording, open_recording
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.yarns import edge_yarns
 from nuno_schemas.colour import parse_hex

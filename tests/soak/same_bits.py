@@ -18,8 +18,7 @@ from nuno.recording.reader import open_recording
 from nuno.replay.verification import verify
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide

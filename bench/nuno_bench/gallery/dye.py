@@ -9,8 +9,7 @@ import numpy as np
 
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno_bench.gallery.kind import Difference, Gallery, ShownScene
 from nuno_bench.machine import cores
 from nuno_schemas.dye import Cells

@@ -15,8 +15,7 @@ import numpy as np
 
 import nuno
 from nuno.recording.reader import Recording, open_recording
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno_bench.report.page import Table, number
 from nuno_schemas.errors import RunFailed

@@ -13,7 +13,7 @@ from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
 from nuno.studio.draw import distance_to

@@ -13,8 +13,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno_bench.piles import G
 from nuno_bench.problem import Problem, make_problem

@@ -14,8 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from nuno.collision.crossings import find_crossings, mesh_of
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.peers.page import Comparison, fastest

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.machine import cores

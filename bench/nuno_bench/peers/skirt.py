@@ -17,8 +17,7 @@ from nuno.exports.camera import place_camera, z_up
 from nuno.exports.cloth import BODY, INSET, STRETCH, ShownPiece, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Comparison, fastest, is_ours, plain

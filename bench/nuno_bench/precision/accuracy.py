@@ -20,8 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from nuno.dye.run import DyeRun
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.simulation.solver_selection.trials import GROWTH, PROMISE
 from nuno_bench import machine, options

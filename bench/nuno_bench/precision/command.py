@@ -16,8 +16,7 @@ import numpy as np
 
 from nuno.formatting import duration
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench import machine, options

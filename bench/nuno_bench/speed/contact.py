@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from nuno.collision.crossings import Mesh, find_crossings, mesh_of
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores
 from nuno_bench.piles import pile, sheet

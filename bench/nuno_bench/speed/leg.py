@@ -12,8 +12,7 @@ import numpy as np
 
 from nuno.collision.bodies import build_bodies
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno_bench import options

@@ -30,8 +30,7 @@ from nuno.runtime import runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment, supervise
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench.machine import cores

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file
+from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.cloth import Piece
 from nuno.simulation.renumbering import RenumberedSolver, find_numbers, renumber

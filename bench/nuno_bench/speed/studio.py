@@ -25,7 +25,7 @@ import psutil
 
 import nuno
 from nuno.runtime import runs
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server, page_files

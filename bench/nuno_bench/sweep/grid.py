@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import base64
 import html
 import io
 import itertools
 import math
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,11 +22,13 @@ import numpy as np
 
 from nuno.api.run import Result, run_loaded, table_of
 from nuno.api.scene import Scene, as_texts, in_python, loaded
+from nuno.cli.common import add_scene, load_scene
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
+from nuno.scene import yaml_lines
 from nuno.scene.scene_file import Loaded
 from nuno.scene.validation_errors import GIVEN
-from nuno_bench import machine
+from nuno_bench import machine, options
 from nuno_bench.report import page
 from nuno_bench.report.page import number
 from nuno_bench.sweep.executor import (
@@ -32,8 +36,11 @@ from nuno_bench.sweep.executor import (
     LostTask,
     PackedScene,
     SweepFile,
+    add_executor_arguments,
     choose_executor,
+    open_executor,
     pack_loaded,
+    require_kept,
     unpacked,
     versions,
 )
@@ -41,14 +48,7 @@ from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-import argparse
-import sys
 
-from nuno.cli.common import add_scene, load_scene
-from nuno.scene import yaml_lines
-from nuno_bench import options
-from nuno_bench.sweep import grid
-from nuno_bench.sweep.executor import add_executor_arguments, open_executor, require_kept
 
 # `nuno sweep`: a scene run for each combination of values of its fields.
 
@@ -78,17 +78,17 @@ def sweep_command(args: argparse.Namespace) -> int:
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
-        require_kept([folder / grid.KEPT])
+        require_kept([folder / KEPT])
     with open_executor(args) as where:
-        place = grid.Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
+        place = Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
         try:
-            made = grid.run_all(loaded, over, place, args.side.replace("none", ""))
+            made = run_all(loaded, over, place, args.side.replace("none", ""))
         except KeyboardInterrupt:
             print("to go on with it, give the same command with --resume", file=sys.stderr)
             raise
     made.keep()
     print(made.table().text())
-    return int(any(row[grid.STATE] not in ("done", "stopped") for row in made.rows))
+    return int(any(row[STATE] not in ("done", "stopped") for row in made.rows))
 
 
 def values_of(item: str) -> tuple[str, list[Any]]:

@@ -52,7 +52,7 @@ WRITERS = {
     **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
     "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
     **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),
-    "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.service:convert",
+    "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
 }  # fmt: skip
 """Function that writes each kind of file; the order is that of writing."""
 WHOLE = ("csv", "gif", "mp4", "rrd", "foxglove", "ros2", "scene")
@@ -71,8 +71,8 @@ YARNS = ("samples", "radius", "curl")
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
-class ExportRequest(BaseModel):
-    """A request of files, by the names of FILES, and its settings, with the names of the flags of `nuno export`."""
+class ExportFiles(BaseModel):
+    """Requested files, by the names of FILES."""
 
     model_config = ConfigDict(extra="forbid")
     npz: Path | None = None
@@ -91,6 +91,11 @@ class ExportRequest(BaseModel):
     pattern: Path | None = None
     yarns: Path | None = None
     scene: Path | None = None
+
+
+class ExportRequest(ExportFiles):
+    """A request of files, and its settings, with the names of the flags of `nuno export`."""
+
     form: Form | None = None
     samples: int | None = None
     radius: str | float | None = None

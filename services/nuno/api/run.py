@@ -2,51 +2,40 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import io
 import os
 import shutil
 import sys
 import tempfile
 import warnings
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nuno.api.plan import keep_up
-from nuno.api.recordings import path_of
+from nuno.api.recordings import Recorded, export, path_of
 from nuno.api.scene import Scene, as_texts, in_python, loaded
-from nuno.process import SIGNALS
-from nuno.recording.reader import open_recording
+from nuno.process import SIGNALS, scratch
+from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.writer import part_of
-from nuno.report.run_report import make_report
+from nuno.report.run_report import Report, lines, make_report
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment, Progress
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
-from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.errors import BadInput, RunFailed, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import DYE_CHECKPOINT
-
-if TYPE_CHECKING:
-    from nuno.api.recordings import Recorded
-import base64
-import io
-import weakref
-from dataclasses import dataclass, field
-from html import escape
-from typing import TYPE_CHECKING
-
-from nuno.api.recordings import export
-from nuno.process import scratch
-from nuno.recording.reader import Recording
-from nuno.report.run_report import Report, lines
-from nuno_schemas.errors import nearest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

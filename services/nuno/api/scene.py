@@ -17,8 +17,7 @@ import numpy as np
 import yaml
 
 from nuno.process import scratch
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override, item_at, number_or_name, parts_of
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest

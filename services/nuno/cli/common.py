@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nuno.formatting import plain
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.trials import BUDGET, Budget

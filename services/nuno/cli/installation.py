@@ -19,8 +19,7 @@ import psutil
 
 from nuno.bus.sessions import hub_at
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
 from nuno.viewer.live import has_screen

@@ -20,10 +20,9 @@ from nuno.runtime import log, runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
-from nuno.scene.templates import write_after
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.simulation.solver_selection.trials import Budget
 from nuno.viewer.live import add_view, choose_view, keep_page
@@ -57,6 +56,8 @@ def new_arguments(parser: argparse.ArgumentParser) -> None:
 
 def new_command(args: argparse.Namespace) -> int:
     """Write the scene, and the files that it needs into its folder."""
+    from nuno.scene.templates import write_after  # no run waits for what writes scenes
+
     known = shipped.scenes()
     name = KINDS.get(args.kind, args.kind)
     if name not in known:

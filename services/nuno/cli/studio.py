@@ -10,8 +10,7 @@ from urllib.parse import quote
 
 from nuno.cli.common import add_config, add_scene
 from nuno.runtime import runs
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import apply_override, item_at
 from nuno.studio.desk import Desk

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TextIO
 
 from nuno.formatting import counted, duration, factor, many
-from nuno.runtime import outcome as intersections
+from nuno.runtime import outcome
 from nuno.runtime.outcome import Outcome
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import result_warnings, scene_warnings
@@ -190,7 +190,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         if report["rest_depth"] is not None:
             text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
         rows.append(("penetration", text))
-    rows += intersections.rows(report.get("cloth_contact"))
+    rows += outcome.rows(report.get("cloth_contact"))
     rows += [("followed", f"{body}: {_follower_text(counts)}") for body, counts in report.get("followed", {}).items()]
     if report["slip_speed"]:
         text = f"what starts to slide is up to {_millimetres(report['slip_speed'])}/s faster than by Coulomb's law"

@@ -13,8 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno.plugin_contract import registry
 from nuno.process import check_compiler
-from nuno.scene import files as shipped
-from nuno.scene import yaml_lines
+from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
 from nuno.scene.files import SceneFiles
 from nuno.scene.json_schema import PLACES

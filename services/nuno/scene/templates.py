@@ -19,8 +19,7 @@ import jinja2
 
 from nuno.output_files import replacing
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
-from nuno.scene import scene_file, yaml_lines
+from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.edit import comment
 from nuno.scene.files import SceneFiles, read_text
 from nuno.scene.override import apply_override, as_override

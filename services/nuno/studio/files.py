@@ -18,7 +18,7 @@ from PIL import Image
 
 from nuno.dye.run import build_cloth
 from nuno.plugin_contract import registry
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno.scene.files import stamp_of
 from nuno.scene.override import as_override as _as
 from nuno.scene.templates import Garment, describe_worn, load_after, name_garments, unit_for, write_after

@@ -19,8 +19,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.formatting import for_json
 from nuno.process import check_unprotected
 from nuno.recording.writer import part_of
-from nuno.scene import edit, scene_file, yaml_lines
-from nuno.scene import files as shipped
+from nuno.scene import edit, scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import item_at
 from nuno.scene.provenance import texts_in
