@@ -19,20 +19,20 @@ COMMANDS = {
         "the skirt paper's experiment: four methods, split and unsplit bones",
     ),
 }
-"""Module and summary of each measurement; a module has `add_arguments(parser)` and `main(args)`."""
+"""Module and summary of each measurement; a module has `KIND_arguments(parser)` and `KIND_command(args)`."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def bench_arguments(parser: argparse.ArgumentParser) -> None:
     rows = "\n".join(f"  {name:12} {summary}" for name, (_, summary) in COMMANDS.items())
     parser.description = f"What to measure:\n{rows}\n\n`nuno bench KIND --help` says more."
     parser.add_argument("kind", choices=list(COMMANDS), help="what to measure")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="its own arguments")
 
 
-def main(args: argparse.Namespace) -> int:
+def bench_command(args: argparse.Namespace) -> int:
     """Run one measurement; the exit code is 1 if it could not be taken."""
     module, parser = parser_of(args.kind)
-    return int(module.main(parser.parse_args(args.arguments)))
+    return int(getattr(module, f"{args.kind}_command")(parser.parse_args(args.arguments)))
 
 
 def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
@@ -40,5 +40,5 @@ def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
     path, summary = COMMANDS[kind]
     module = importlib.import_module(path)
     parser = argparse.ArgumentParser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")
-    module.add_arguments(parser)
+    getattr(module, f"{kind}_arguments")(parser)
     return module, parser

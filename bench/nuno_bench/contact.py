@@ -14,16 +14,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import machine, options
 from nuno_bench.piles import CLOTHS, Oracle, random_pile
 from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import SweepFile, require_kept
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    SweepFile,
+    add_executor_arguments,
+    open_executor,
+    require_kept,
+    versions,
+)
 from nuno_schemas.errors import BadInput
 
 # One random scene, stepped to its end: in which frames cloth passes through cloth, by ipctk and by our own check.
@@ -155,7 +161,7 @@ BY: Mapping[str, Callable[[PileOutcome], Sequence[str]]] = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def contact_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("seeds", nargs="*", type=int, metavar="SEED", help="of the scenes (default: 1 to --count)")
     options.add_count(parser, "--count", "scenes, where no seed is given (default: %(default)s)", 200)
     options.add_seconds(parser, "--duration", 0.5, "of each scene; a shorter run shows its beginning")
@@ -163,7 +169,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--resume", "--out", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def contact_command(args: argparse.Namespace) -> int:
     """Run the scenes, print tables; 1 where cloth passed through cloth, or a scene could not be run."""
     if any(seed < 0 for seed in args.seeds):
         raise BadInput("a seed is not negative", field="SEED", value=min(args.seeds), limit="0 and more")

@@ -193,7 +193,7 @@ SLOWER = 1.1
 """Times within a tenth of each other count as the same."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def integrators_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="a scene with a garment on a skeleton, e.g. skirt-paper")
     parser.add_argument(
         "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
@@ -203,7 +203,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--set", "--out", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def integrators_command(args: argparse.Namespace) -> int:
     """Run, print the table and the findings, write page, CSV and JSON. A run that diverges is a result."""
     plots.require_matplotlib()
     page.check_section(args.docs, "integrators")

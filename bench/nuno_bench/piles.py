@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import mesh_of
 from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth import join_fabrics
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.system import System

@@ -24,7 +24,7 @@ from nuno.plugin_contract import registry
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_bench.machine import cores
 from nuno_schemas.bodies import Poses
 from nuno_schemas.dye import DyeReport, DyeState
@@ -95,7 +95,7 @@ class Problem:
 
     def limit(self, plugin: Any, config: BaseModel) -> StepLimit:
         """Return a solver's limit at the start. Raises BadInput if it refuses the scene."""
-        limit: StepLimit = plugin.limit(config, self.system, build.start_state(self.fabric))
+        limit: StepLimit = plugin.limit(config, self.system, cloth.start_state(self.fabric))
         return limit
 
     def own_steps(self, limit: StepLimit) -> int:
@@ -111,7 +111,7 @@ class Problem:
 
         Raises BadInput if the solver refuses its configuration.
         """
-        state = build.start_state(self.fabric)
+        state = cloth.start_state(self.fabric)
         memory = plugin.prepare(config, self.system, state)
         dt, moments = self.frame / steps, [time.perf_counter()]
         with np.errstate(all="ignore"):
@@ -144,7 +144,7 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
 
     Raises BadInput for a scene without free vertices, or too large for the memory.
     """
-    fabric, pieces = build.build_fabric(loaded)
+    fabric, pieces = cloth.build_fabric(loaded)
     if fabric.number == 0 or bool(fabric.pinned.all()):
         raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
     check_memory(loaded, 3 * fabric.number)
@@ -152,7 +152,7 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
     times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
     poses = tuple(bodies.poses(t) if bodies else None for t in times)
     geometry = bodies.geometry if bodies else None
-    system = build.build_system(loaded, fabric, pieces, geometry, poses[0], threads or cores())
+    system = cloth.build_system(loaded, fabric, pieces, geometry, poses[0], threads or cores())
     return Problem(loaded, system, poses)
 
 
@@ -243,7 +243,7 @@ def simulate(
     disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput if the solver
     refuses its configuration.
     """
-    state = build.start_state(problem.fabric)
+    state = cloth.start_state(problem.fabric)
     if disturbance is not None:
         state.x += disturbance
     memory = plugin.prepare(config, problem.system, state)

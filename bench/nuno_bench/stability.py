@@ -25,8 +25,18 @@ from nuno_bench.reference import PRIMARY, tight
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, reason_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor, versions
-from nuno_bench.sweep.storage import PackedScene, SweepFile, pack, require_kept, unpacked
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    PackedScene,
+    SweepFile,
+    add_executor_arguments,
+    open_executor,
+    pack,
+    require_kept,
+    unpacked,
+    versions,
+)
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
 
@@ -359,13 +369,13 @@ MARKS = {"damped away": "v", "drifting": "o", "diverged": "X", "refused": "_", "
 """Of classes that are not square."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def stability_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_seconds(parser, "--budget", 180.0, "wall time for each scene")
     add_executor_arguments(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def stability_command(args: argparse.Namespace) -> int:
     """Map each scene, print the counts, write page, CSV and JSON. A run that diverges is a result."""
     plots.require_drawing(args.rrd)
     tabs = dict[str, list[plots.Panel]]()

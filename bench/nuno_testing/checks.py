@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import fsum
 from typing import Any
 
 import numpy as np
@@ -14,13 +17,238 @@ from trimesh.creation import box
 from nuno.plugin_contract import registry
 from nuno.runtime.stepper import check_kept
 from nuno_schemas.bodies import BOX, MESH, Geometry, Poses, no_rows
+from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Beside, Outcome
 from nuno_schemas.pictures import Mesh, frame
 from nuno_schemas.system import System, Term
-from nuno_testing import bodies, dye, forces, integrators, rides
+from nuno_testing import bodies, integrators
 from nuno_testing.subject import Subject, made_twice
+
+# The contract of forces, tested on a sheet without springs with nuno's own solvers.
+
+BUILT_IN = {"kinetic", "gravitational", "springs", "hinges"}
+FEW, MANY = 6, 66
+"""Vertices along a side of the sheet; with MANY a solver uses several threads."""
+
+
+def sheet(side: int) -> Fabric:
+    """Return an uneven square of side x side vertices, 1 m wide, without springs."""
+    axis = np.linspace(0.0, 1.0, side)
+    x = np.stack([*np.meshgrid(axis, axis, indexing="ij"), np.zeros((side, side))], axis=-1).reshape(-1, 3)
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    halves = [
+        np.stack([corner, corner + side, corner + side + 1], 1),
+        np.stack([corner, corner + side + 1, corner + 1], 1),
+    ]
+    x += 0.1 / side * np.random.default_rng(1).standard_normal(x.shape)
+    mass = np.full(len(x), 0.3 / len(x))
+    return Fabric("sheet", x, np.zeros_like(x), mass, mass == 0.0, np.concatenate(halves).astype(np.int32))
+
+
+class Probe:
+    """A single force prepared for a sheet, evaluated by a solver."""
+
+    def __init__(self, subject: Subject, side: int = FEW, solver: str = "symplectic_euler", threads: int = 1) -> None:
+        self.fabric = sheet(side)
+        term = subject.plugin.prepare(subject.config, self.fabric, 0)
+        self.system = System(self.fabric, np.zeros(3), 0.0, (term,), threads)
+        self.solver = registry.load("nuno.integrators", solver)
+        fields = {"residual": 1e-9} if "residual" in self.solver.Config.model_fields else {}
+        self.config, self.start = self.solver.Config(**fields), State(self.fabric.position.copy(), self.fabric.velocity)
+
+    def memory(self) -> Any:
+        return self.solver.prepare(self.config, self.system, self.start)
+
+    def forces(self, x: Float, v: Float) -> Float:
+        """Return the forces (n, 3) [N] at x, v (n, 3)."""
+        forces = self.solver.forces(self.system, State(x.copy(), v.copy()), self.memory(), None)
+        newtons: Float = forces.acceleration * self.fabric.mass[:, None]
+        return newtons
+
+    def energy(self, x: Float) -> float | None:
+        """Return the energy [J] at x (n, 3), None for a force without energy."""
+        report = self.solver.advance(self.system, State(x.copy(), 0.0 * x), self.memory(), None, 0, 0.0)
+        energies = [joules for kind, joules in report.energy.items() if kind not in BUILT_IN]
+        return sum(energies) if energies else None
+
+    def advance(self, v: Float, dt: float, *frames: int) -> tuple[State, list[Any]]:
+        """Return the state after frames of these numbers of steps from velocities v (n, 3), and the reports."""
+        state = State(self.start.x.copy(), v.copy())
+        return state, [self.solver.advance(self.system, state, self.memory(), None, n, dt) for n in frames]
+
+
+def random_state(probe: Probe) -> tuple[Float, Float]:
+    """Return random positions and velocities."""
+    rng, x = np.random.default_rng(7), probe.fabric.position
+    return x + 0.02 * rng.standard_normal(x.shape), rng.standard_normal(x.shape)
+
+
+def the_same_state_is_pushed_alike(subject: Subject) -> None:
+    """Prepared and evaluated twice, also on another thread, the force is the same; its arguments are not changed."""
+    x, v = random_state(Probe(subject))
+    forces = made_twice(lambda: Probe(subject).forces(x, v), x, v)
+    assert np.isfinite(forces).all()
+
+
+def it_is_the_downhill_slope_of_its_energy(subject: Subject) -> None:
+    """The central difference of its energy along random directions is minus the work of the force.
+
+    A force without energy passes.
+    """
+    probe = Probe(subject)
+    x, _ = random_state(probe)
+    if probe.energy(x) is None:
+        return
+    force, step = probe.forces(x, 0.0 * x), 1e-5
+    for seed in range(4):
+        d = np.random.default_rng(seed).standard_normal(x.shape)
+        difference = (probe.energy(x + step * d) - probe.energy(x - step * d)) / (2.0 * step)  # type: ignore[operator]
+        assert abs(difference + (force * d).sum()) < 1e-6 * np.abs(force * d).sum() + 1e-12
+
+
+def frames_cut_anywhere_end_in_the_same_bytes(subject: Subject) -> None:
+    """So does leapfrog, which keeps an acceleration for the next step unless a force declares to read velocities."""
+    probe = Probe(subject, solver="leapfrog")
+    _, v = random_state(probe)
+    (whole, _), (cut, _) = probe.advance(v, 1e-3, 4), probe.advance(v, 1e-3, 1, 3)
+    assert (whole.x.tobytes(), whole.v.tobytes()) == (cut.x.tobytes(), cut.v.tobytes())
+
+
+def an_implicit_step_ends_where_its_equation_says(subject: Subject) -> None:
+    """The equation of backward Euler holds: m (v1 - v0) / h is the force at the end, by an explicit solver."""
+    explicit, probe = Probe(subject), Probe(subject, solver="implicit_euler")
+    rates = explicit.solver.limit(explicit.config, explicit.system, explicit.start)
+    h = 0.5 / max(rates.omega, rates.damping, 50.0)
+    _, v = random_state(probe)
+    end, (report,) = probe.advance(v, h, 1)
+    assert report.status == "ok"
+    assert report.totals["halvings"] == 0
+    inertia, force = probe.fabric.mass[:, None] * (end.v - v) / h, explicit.forces(end.x, end.v)
+    assert np.abs(inertia - force).max() < 1e-6 * np.abs(force).max() + 1e-12
+
+
+def any_number_of_threads_gives_the_same_bits(subject: Subject) -> None:
+    """One and two threads give the same bits on a sheet large enough for two."""
+    one, two = (Probe(subject, MANY, threads=threads) for threads in (1, 2))
+    if not two.solver.about(two.system).startswith("2 threads"):
+        pytest.skip("one thread is all there is")
+    x, v = random_state(one)
+    assert one.forces(x, v).tobytes() == two.forces(x, v).tobytes()
+
+
+FORCES = (
+    the_same_state_is_pushed_alike,
+    it_is_the_downhill_slope_of_its_energy,
+    frames_cut_anywhere_end_in_the_same_bytes,
+    an_implicit_step_ends_where_its_equation_says,
+    any_number_of_threads_gives_the_same_bits,
+)
+
+
+# The contract of plugins of dye: solvers and isotherms.
+
+D0, LANGMUIR = 1e-9, Isotherm("langmuir", 2.0)
+
+
+def cloth(side: int) -> Cells:
+    """Return random cells, some of which have little or no capacity left by paste or binding."""
+    rng, shape = np.random.default_rng(11), (2, side, side + 1)
+    up = rng.random(shape[1:]) > 0.5
+    porosity, resist = rng.uniform(0.2, 0.8, shape), rng.random(shape) * (rng.random(shape) > 0.7)
+    return Cells(
+        rng.random(shape) > 0.3, np.stack([~up, up]), porosity, rng.random(shape), resist, 1e-4,
+        Tortuosity(0.5, 0.3, 0.6, 1.0, 0.8, 0.4),
+    )  # fmt: skip
+
+
+def make_system(side: int = 14, threads: int = 1, law: Isotherm | None = LANGMUIR) -> DyeSystem:
+    """Return a cloth with one dye."""
+    return DyeSystem(cloth(side), (Dye("blue", D0, 0.06 if law else 0.0, law),), threads)
+
+
+def start(system: DyeSystem) -> DyeState:
+    """Return a state with random full cells."""
+    room = system.cells.mobile_room[None]
+    return DyeState(room * (np.random.default_rng(2).random(room.shape) > 0.6), 0.0 * room)
+
+
+def spread(subject: Subject, system: DyeSystem, seconds: float, *frames: int) -> DyeState:
+    """Return the amounts after frames of these numbers of steps, and check the reported totals."""
+    state, total = start(system), start(system).phi.sum()
+    memory = subject.plugin.prepare(subject.config, system, state)
+    for steps in frames:
+        report = subject.plugin.advance(system, state, memory, steps, seconds / sum(frames))
+        assert report.status == "ok"
+        check_kept(memory, memory.arrays)
+        for totals, amounts in ((report.mobile, state.phi), (report.fixed, state.fixed)):
+            assert abs(totals[0] - fsum(amounts.reshape(-1))) <= 1e-13 * total
+    return state
+
+
+def stable_step(subject: Subject, system: DyeSystem) -> float:
+    """Return a stable step [s]: the solver's limit, or at most the time scale of diffusion between neighbours."""
+    state = DyeState(*np.zeros((2, 1, *system.cells.fibre.shape)))
+    subject.plugin.prepare(subject.config, system, state)
+    return float(min(subject.plugin.limit(subject.config, system), system.cells.size**2 / D0))
+
+
+def dye_is_kept_within_its_bounds(subject: Subject) -> None:
+    """The total is conserved, every cell stays between 0 and its capacity, and some dye is fixed."""
+    system = make_system()
+    steps, t = 40, 40.0 * stable_step(subject, system)
+    end, total = spread(subject, system, t, steps), fsum(start(system).phi.reshape(-1))
+    kept = fsum(end.phi.reshape(-1)) + fsum(end.fixed.reshape(-1))
+    assert abs(kept - total) <= 1e-13 * np.sqrt(steps) * total
+    assert end.phi.min() >= 0.0 and end.fixed.min() >= 0.0 and end.fixed.max() > 0.0
+    assert (end.phi[0] <= system.cells.mobile_room).all() and (end.fixed[0] <= system.cells.fixed_room).all()
+
+
+def frames_and_threads_change_no_bit(subject: Subject) -> None:
+    """A run gives the same bits when repeated, cut into frames, and on two threads if the cloth is large enough."""
+    system = make_system(160)
+    t = 12.0 * stable_step(subject, system)
+    whole = made_twice(lambda: spread(subject, system, t, 12), system.cells)
+    for other in (spread(subject, system, t, 4, 4, 4), spread(subject, replace(system, threads=2), t, 12)):
+        assert (other.phi.tobytes(), other.fixed.tobytes()) == (whole.phi.tobytes(), whole.fixed.tobytes())
+
+
+def shorter_steps_come_to_one_end(subject: Subject) -> None:
+    """For pure diffusion, the change by halving the step falls at least as for a method of first order."""
+    system = make_system(law=None)
+    t = 8.0 * stable_step(subject, system)
+    ends = [spread(subject, system, t, steps).phi for steps in (32, 64, 128)]
+    coarse, fine = (np.abs(a - b).max() for a, b in itertools.pairwise(ends))
+    assert fine < 0.6 * coarse
+
+
+SOLVERS = (dye_is_kept_within_its_bounds, frames_and_threads_change_no_bit, shorter_steps_come_to_one_end)
+
+
+def largest_fixed(law: Isotherm, phi: Float, room: Float) -> Float:
+    """Return A_d by the formula of each kind in the schema."""
+    if law.function is not None:
+        return law.function(phi, room)
+    formulas = {
+        "partition": law.first * phi,
+        "freundlich": law.first * phi**law.second,
+        "langmuir": room * law.first * phi / (1.0 + law.first * phi),
+    }
+    return formulas[law.kind]
+
+
+def more_dye_beside_it_never_fixes_less(subject: Subject) -> None:
+    """The largest fixed amount is 0 without mobile dye and never falls with more of it; arrays are not changed."""
+    law = subject.plugin.prepare(subject.config)
+    phi, room = np.tile(np.linspace(0.0, 1.0, 101), (2, 3, 1)), np.full((2, 3, 101), 0.6)
+    fixed = made_twice(lambda: largest_fixed(law, phi, room), phi, room)
+    assert fixed.shape == phi.shape
+    assert (fixed[..., 0] == 0.0).all() and (np.diff(fixed, axis=-1) >= 0.0).all() and fixed.max() > 0.0
+
+
+ISOTHERMS = (more_dye_beside_it_never_fixes_less,)
+
 
 # The contract of renderers.
 
@@ -242,14 +470,14 @@ ALL = (answers_to_its_entry_point, refuses_unknown_fields_by_name)
 OWN: Mapping[str, tuple[Callable[[Subject], None], ...]] = {
     "nuno.models": MODELS,
     "nuno.operations": OPERATIONS,
-    "nuno.forces": forces.FORCES,
-    "nuno.integrators": integrators.INTEGRATORS + rides.RIDES,
+    "nuno.forces": FORCES,
+    "nuno.integrators": integrators.INTEGRATORS + integrators.RIDES,
     "nuno.colliders": bodies.COLLIDERS,
     "nuno.motions": bodies.MOTIONS,
     "nuno.contacts": CONTACTS,
     "nuno.renderers": RENDERERS,
-    "nuno.dye_solvers": dye.SOLVERS,
-    "nuno.isotherms": dye.ISOTHERMS,
+    "nuno.dye_solvers": SOLVERS,
+    "nuno.isotherms": ISOTHERMS,
 }
 """Checks of each kind; other kinds have only those of all kinds."""
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
+from nuno.plugin_contract import registry
 from nuno.runtime.stepper import check_kept
+from nuno_schemas.bodies import BOX, Geometry, Poses, no_rows
 from nuno_schemas.fabric import Fabric, Float, Springs, State
-from nuno_schemas.system import System
+from nuno_schemas.system import Carried, System
 from nuno_testing.subject import Subject, made_twice
 
 OMEGA, DAMPING = 3.0, 0.6
@@ -98,4 +102,103 @@ INTEGRATORS = (
     equal_runs_give_equal_bytes,
     frames_cut_anywhere_end_in_the_same_bytes,
     a_vertex_that_nothing_acts_on_stays_where_it_is,
+)
+
+
+# The contract of integrators for cloth on a moving body, tested on a tray by laws that hold for any method.
+
+SLOPE, WEIGHT, FRICTION = 3.0, 10.0, 0.5
+"""Gravity along the tray and onto it [m/s^2], and the friction coefficient, which is larger than their ratio."""
+STIFF, DEPTH = 100.0, 1e-3
+"""Largest angular frequency of contact [1/s], and depth of the cloth at rest [m]."""
+FEW, MANY = 3, 66
+"""Vertices along a side of the cloth; with MANY a solver uses several threads."""
+FRAME = 0.05
+"""Length of a frame [s]."""
+
+
+def tray(side: int, threads: int = 1) -> System:
+    """Return cloth of side x side vertices, 1 m wide, on the sloping top of a box at height 0, and next to it a vertex
+    that the box carries.
+    """
+    gravity = np.array([SLOPE, 0.0, -WEIGHT])
+    axis = np.linspace(0.0, 1.0, side)
+    x = np.stack([*np.meshgrid(axis, axis, indexing="ij"), np.full((side, side), -DEPTH)], axis=-1).reshape(-1, 3)
+    x, number = np.concatenate([x, [[1.5, 0.5, 0.2]]]), np.arange(side * side, dtype=np.int32).reshape(side, side)
+    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in
+                            ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))])  # fmt: skip
+    one, mass, pinned = np.ones(len(pairs)), np.full(len(x), 1e-3), np.arange(len(x)) == side * side
+    springs = Springs.from_pairs(pairs, 2.0 * one, one / (side - 1), 0.01 * one)
+    fabric = Fabric("cloth", x, np.zeros_like(x), mass, pinned, no_rows(np.int32, 3), springs)
+    zero, one = np.zeros(1, np.int32), np.ones(1)
+    box = Geometry(
+        ("tray",), ("tray/world",), np.array([BOX], np.int8), zero, zero, np.array([[0.0, 0.0, -0.5]]),
+        np.array([[3.0, 3.0, 0.5]]), 0.0 * one, 1e-3 * STIFF**2 * one, 0.5 * one, FRICTION * one,
+    )  # fmt: skip
+    penalty = registry.load("nuno.contacts", "penalty")
+    carried = Carried(np.flatnonzero(pinned).astype(np.int32), x[pinned], zero)
+    return System(fabric, gravity, 0.0, (penalty.prepare(penalty.Config(), fabric, box, gravity),), threads, (carried,))
+
+
+def ride(subject: Subject, system: System, v: Float, along: Float, steps: int, frames: int = 2) -> State:
+    """Return the state after some frames of `steps` steps on a tray that moves at constant velocity `along` (3,) [m/s];
+    v (n, 3) [m/s] are the initial velocities relative to it.
+    """
+    state = State(system.fabric.position.copy(), v + along)
+    memory = subject.plugin.prepare(exact_config(subject), system, state)
+    for frame in range(frames):
+        state.t = frame * FRAME
+        poses = tuple(Poses(t, np.eye(4)[:1], along[None] * t) for t in (state.t, state.t + FRAME))
+        report = subject.plugin.advance(system, state, memory, poses, steps, FRAME / steps)
+        assert report.status == "ok", report.message
+    return state
+
+
+def random_velocities(system: System) -> Float:
+    """Return random velocities (n, 3) [m/s], downwards in the mean, 0 for carried vertices."""
+    v = 0.3 * np.random.default_rng(2).standard_normal(system.fabric.position.shape) - [0.0, 0.0, 0.1]
+    v[system.fabric.pinned] = 0.0
+    return v
+
+
+def all_is_the_same_on_a_body_that_moves_evenly(subject: Subject) -> None:
+    """Galilei's law: cloth moves on a body at constant velocity as on a still one. It fails unless each evaluation and
+    each commit uses the bodies' poses at its time, and carried vertices end a frame with their bodies.
+    """
+    system, along = tray(FEW), np.array([0.7, -0.4, 1.1])
+    still, moved = (ride(subject, system, random_velocities(system), v, 50) for v in (0.0 * along, along))
+    shift, carried = 2.0 * FRAME * along, system.fabric.pinned
+    assert np.abs(still.x[~carried] - system.fabric.position[~carried]).max() > 1e-3
+    assert np.abs(moved.x - still.x - shift).max() < 1e-9
+    assert np.abs(moved.v - still.v - along).max() < 1e-7
+    assert np.abs(moved.x - system.fabric.position - shift)[carried].max() < 1e-12
+
+
+def friction_slows_what_slides_and_holds_what_stands(subject: Subject) -> None:
+    """Coulomb's law: cloth that slides down a slope at v stops within v^2 / (2 (mu g_n - g_t)), and then does not
+    creep. It fails unless steps commit the friction anchor of each vertex.
+    """
+    system, speed = tray(FEW), 0.2
+    free, distance = ~system.fabric.pinned, speed**2 / (2.0 * (FRICTION * WEIGHT - SLOPE))
+    state = ride(subject, system, np.where(free[:, None], [speed, 0.0, 0.0], 0.0), np.zeros(3), 100, 4)
+    shift = (state.x - system.fabric.position)[free]
+    assert shift[:, 0].min() > 0.0 and shift[:, 0].max() < 1.1 * distance  # rk4_printed stops after half of it
+    assert np.abs(shift[:, 1:]).max() < 2.0 * DEPTH
+    assert np.abs(state.v[free]).max() < 0.05 * speed
+
+
+def any_number_of_threads_gives_the_same_bits(subject: Subject) -> None:
+    """One and two threads, and a repeated run, give the same bits for cloth large enough for two on a moving body."""
+    one, two = tray(MANY), tray(MANY, threads=2)
+    if not subject.plugin.about(two).startswith("2 threads"):
+        pytest.skip("one thread is all there is")
+    v, along = random_velocities(one), np.array([0.7, -0.4, 1.1])
+    first, second = (made_twice(partial(ride, subject, s, v, along, 10, 1), s.fabric) for s in (one, two))
+    assert (first.x.tobytes(), first.v.tobytes()) == (second.x.tobytes(), second.v.tobytes())
+
+
+RIDES = (
+    all_is_the_same_on_a_body_that_moves_evenly,
+    friction_slows_what_slides_and_holds_what_stands,
+    any_number_of_threads_gives_the_same_bits,
 )

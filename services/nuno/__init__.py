@@ -12,14 +12,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nuno.api.drive import drive
+    from nuno.api.active_run import Heard, drive, watch
     from nuno.api.plan import Plan, plan
     from nuno.api.recordings import export, states, verify
     from nuno.api.recordings import open_file as open
-    from nuno.api.result import Result
-    from nuno.api.run import resume, run
+    from nuno.api.run import Result, resume, run
     from nuno.api.scene import Scene
-    from nuno.api.watch import Heard, watch
     from nuno.recording.reader import Recording
     from nuno.replay.frame_state import FrameState
     from nuno_bench.sweep.grid import sweep
@@ -43,13 +41,11 @@ __all__ = [
     "watch",
 ]  # fmt: skip
 PLACES = {
-    "nuno.api.drive": ("drive",),
+    "nuno.api.active_run": ("Heard", "drive", "watch"),
     "nuno.api.plan": ("Plan", "plan"),
     "nuno.api.recordings": ("export", "open", "states", "verify"),
-    "nuno.api.result": ("Result",),
-    "nuno.api.run": ("resume", "run"),
+    "nuno.api.run": ("Result", "resume", "run"),
     "nuno.api.scene": ("Scene",),
-    "nuno.api.watch": ("Heard", "watch"),
     "nuno.replay.frame_state": ("FrameState",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),

@@ -166,7 +166,7 @@ def end_when_terminated() -> None:
 
 
 @contextlib.contextmanager
-def ending_at_once(after: int = 2) -> Iterator[None]:
+def ending_at_once() -> Iterator[None]:
     """End the process at the second of the signals ENDING, in any state.
 
     Python runs handlers only in the main thread, which may be compiling or waiting in foreign code; so a
@@ -177,7 +177,7 @@ def ending_at_once(after: int = 2) -> Iterator[None]:
         return
     source, sink = os.pipe()
     os.set_blocking(sink, False)
-    counter = threading.Thread(target=_count_signals, args=(source, after), name="signals", daemon=True)
+    counter = threading.Thread(target=_count_signals, args=(source,), name="signals", daemon=True)
     counter.start()
     before = signal.set_wakeup_fd(sink, warn_on_full_buffer=False)
     try:
@@ -214,11 +214,11 @@ def attended(work: Callable[[], T], leave: Callable[[], None] = lambda: None) ->
             leave()
 
 
-def _count_signals(source: int, after: int) -> None:
+def _count_signals(source: int) -> None:
     seen = 0
     while numbers := os.read(source, 64):
         seen += sum(number in ENDING for number in numbers)
-        if seen >= after:
+        if seen >= 2:
             os.write(2, b"ended at once\n")
             end_process(1)
 

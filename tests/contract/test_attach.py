@@ -12,8 +12,8 @@ import yaml
 
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.start_checks import check_worn
+from nuno.simulation import cloth
+from nuno.simulation.start_checks import check_worn
 from nuno_schemas.bodies import BOX, CAPSULE, PLANE, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Binding, Float
@@ -87,7 +87,7 @@ def system(folder: Path, **model: Any) -> None:
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     loaded = scene_file.read(path)
     bodies = build_bodies(loaded)
-    build.build_system(loaded, *build.build_fabric(loaded), bodies.geometry, bodies.poses(0.0), 1)
+    cloth.build_system(loaded, *cloth.build_fabric(loaded), bodies.geometry, bodies.poses(0.0), 1)
 
 
 def test_a_skirt_whose_centre_was_forgotten_is_refused_at_its_line(tmp_path: Path) -> None:
@@ -104,8 +104,8 @@ HELD = np.zeros(1, np.int32)
 
 
 def test_a_frame_need_not_be_named_of_a_body_that_has_one() -> None:
-    assert build.frame_of(Binding(HELD, "ball"), FRAMES) == build.frame_of(Binding(HELD, "ball", "world"), FRAMES) == 0
-    assert build.frame_of(Binding(HELD, "dancer", "chest"), FRAMES) == 2
+    assert cloth.frame_of(Binding(HELD, "ball"), FRAMES) == cloth.frame_of(Binding(HELD, "ball", "world"), FRAMES) == 0
+    assert cloth.frame_of(Binding(HELD, "dancer", "chest"), FRAMES) == 2
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_a_frame_need_not_be_named_of_a_body_that_has_one() -> None:
 )
 def test_a_frame_that_there_is_not_is_answered_with_those_there_are(body: str, frame: str | None, text: str) -> None:
     with pytest.raises(BadInput) as caught:
-        build.frame_of(Binding(HELD, body, frame), FRAMES)
+        cloth.frame_of(Binding(HELD, body, frame), FRAMES)
     assert re.search(text, str(caught.value), re.DOTALL)
 
 

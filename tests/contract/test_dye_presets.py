@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from nuno.cli import main
-from nuno.cli.presets import KINDS, find_presets, table
+from nuno.cli.textiles import KINDS, find_presets, table
 from nuno.scene import scene_file, shipped
 from nuno.scene.json_schema import scene_schema
 from nuno_schemas.dyeing import PRESETS, DyeColour, Dyestuff

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.cli.presets import KINDS, find_presets, table
+from nuno.cli.textiles import KINDS, find_presets, table
 from nuno_cloth.fabrics.presets import MEASURES, PRESETS, Material
 from nuno_schemas.preset import Preset
 from nuno_schemas.units import to_si

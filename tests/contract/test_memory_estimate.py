@@ -13,7 +13,7 @@ from model_files import Folder, files, net_arrays
 
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_cloth.models.membrane import BYTES_PER_VERTEX as MESH
 from nuno_cloth.models.net import BYTES_PER_SPRING as SPRING
 from nuno_cloth.models.net import BYTES_PER_VERTEX as POINT
@@ -33,8 +33,8 @@ def scene(folder: Path, *models: dict[str, object]) -> Loaded:
 def test_objects_add_up_by_their_own_figures(files: Folder) -> None:
     sheet, net, mesh = {"plugin": "sheet", "resolution": [30, 20]}, {"plugin": "net"}, {"plugin": "mesh"}
     loaded = scene(files.root, sheet, net | {"file": "net.npz"}, mesh | {"file": "sheet.obj"})
-    expected = 600 * build.BYTES_PER_VERTEX + 3 * POINT + 2 * SPRING + 30 * MESH
-    assert build.estimate_memory(loaded) == (600 + 3 + 30, expected)
+    expected = 600 * cloth.BYTES_PER_VERTEX + 3 * POINT + 2 * SPRING + 30 * MESH
+    assert cloth.estimate_memory(loaded) == (600 + 3 + 30, expected)
 
 
 def test_a_net_of_many_springs_is_refused_where_its_vertices_alone_would_fit(
@@ -57,9 +57,9 @@ def test_a_net_of_many_springs_is_refused_where_its_vertices_alone_would_fit(
         monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=size))
 
     free(needed)
-    build.check_memory(loaded)
+    cloth.check_memory(loaded)
     free(needed - 1)
     with pytest.raises(BadInput, match="does not fit in memory") as caught:
-        build.build_fabric(loaded)
+        cloth.build_fabric(loaded)
     assert str(caught.value.value).startswith("40 vertices")
     assert caught.value.field == "objects"

@@ -14,7 +14,9 @@ from persons import person_file
 from sewing_patterns import tube
 
 from nuno_schemas.plugin import GROUPS
-from nuno_testing import bodies, checks, contract, forces, integrators, rides
+from nuno_testing import bodies, checks, contract, integrators
+from nuno_testing import checks as forces
+from nuno_testing import integrators as rides
 
 __all__ = ["files"]
 SCENES = Path(__file__).resolve().parents[2] / "scenes"

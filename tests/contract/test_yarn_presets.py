@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nuno.cli import main
-from nuno.cli.presets import find_presets, show
+from nuno.cli.textiles import find_presets, show
 from nuno_knit.yarns import PRESETS
 from nuno_schemas.units import to_si
 

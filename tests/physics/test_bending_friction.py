@@ -12,7 +12,7 @@ from nets import make_system
 from triangle_sheets import KINDS, square
 
 from nuno.plugin_contract import registry
-from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth import join_fabrics
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import SLIP, build_friction

@@ -11,7 +11,7 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 from sheets import DOWN, Pile, heap, pace, sheet, sliding
 
-from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth import join_fabrics
 from nuno_bench import piles
 from nuno_cloth.fabrics.material import resolve
 from nuno_cloth.models.delaunay import fill_outline

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
-from nuno.collision.surfaces import surface
+from nuno.collision.bodies import surface
 from nuno_contact.penalty.contact import pose_bodies
 from nuno_contact.penalty.distance import Bodies, primitive_distance
 from nuno_schemas.bodies import rotation_matrices

@@ -12,8 +12,8 @@ import trimesh
 import yaml
 
 from nuno.scene.scene_file import read
-from nuno.simulation.body_forces import feel
 from nuno.simulation.run import Simulation
+from nuno.simulation.service import feel
 from nuno_schemas.messages import BodyContact
 
 RADIUS, GRAVITY = 0.12, 9.81

@@ -15,7 +15,7 @@ from numba.core import event
 
 from nuno.runtime.stepper import hash_of
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.simulation.costs import MOST_STARTS, Stage
 from nuno.simulation.run import Simulation
 from nuno_cloth.models.skirt import Skirt
@@ -200,15 +200,15 @@ def test_one_pass_has_the_bits_of_two(steps: int) -> None:
     """A force in Python that adds nothing takes the way by forces first and updates after."""
     overrides = ("objects.0.model.resolution=[9, 8]", "objects.0.model.velocity=[0.1, 0.2, 0.3]", "damping=0.5")
     loaded = scene_file.read(Path(shipped.find("stiff-sheet")), overrides)
-    fabric, _ = build.build_fabric(loaded)
+    fabric, _ = cloth.build_fabric(loaded)
     plain = System(fabric, np.array([0.0, -9.81, 0.0]), 0.5)
     nothing = replace(plain, terms=(Term("python", lambda x, v, t, out: None),))
     ends = []
     for system in (plain, nothing):
-        method, state = SymplecticEuler(), build.start_state(fabric)
+        method, state = SymplecticEuler(), cloth.start_state(fabric)
         memory = method.prepare(method.Config(), system, state)
         for _ in range(3):
             method.advance(system, state, memory, None, steps, 1e-4)
         ends.append(state)
     assert np.array_equal(ends[0].x, ends[1].x) and np.array_equal(ends[0].v, ends[1].v)
-    assert not np.array_equal(ends[0].x, build.start_state(fabric).x)
+    assert not np.array_equal(ends[0].x, cloth.start_state(fabric).x)

@@ -8,10 +8,10 @@ import ipctk
 import numpy as np
 import pytest
 
-from nuno.collision import crossings, pairs
-from nuno.collision.clearance import least_distance
-from nuno.collision.crossings import cross, find_crossings
-from nuno.collision.pairs import Mesh, NearPairs, mesh_of, near_pairs
+from nuno.collision import crossings
+from nuno.collision import crossings as pairs
+from nuno.collision.crossings import Mesh, NearPairs, cross, find_crossings, mesh_of, near_pairs
+from nuno.collision.distance import least_distance
 from nuno_bench import piles
 from nuno_schemas.fabric import Float
 

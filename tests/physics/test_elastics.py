@@ -15,8 +15,8 @@ from sewing_patterns import pattern as pattern_of
 
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth.yarns import structural_edges
 from nuno.simulation.run import Simulation
+from nuno.simulation.yarns import structural_edges
 from nuno_cloth.models.pattern import HELD, Pattern, PatternConfig
 from nuno_cloth.sewing.elastic import DENSITY, STIFFNESS, girth_inside
 from nuno_schemas.errors import BadInput

@@ -15,7 +15,7 @@ from triangle_sheets import KINDS, square
 
 from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth.texture import texture_size
+from nuno.simulation.cloth import texture_size
 from nuno_cloth.fabrics.kes import elastic_energy, membrane_energy, minimise
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import PRESETS, Material

@@ -13,12 +13,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 from sewing_patterns import column, moved, panel, pattern, read_pattern, stitch, together, tube
 
+from nuno.api.fit import cut, find_heights, measure, measure_pressure, measure_seams, trunk
 from nuno.cli.fit import describe
-from nuno.collision.surfaces import outlines
-from nuno.fit.measure import measure, measure_pressure
-from nuno.fit.places import find_heights, trunk
-from nuno.fit.seams import measure_seams
-from nuno.fit.slices import cut
+from nuno.collision.bodies import outlines
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.sewing.sew import sew

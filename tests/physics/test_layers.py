@@ -15,7 +15,7 @@ from sewing_patterns import back, column, front, tube
 
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
-from nuno.simulation.cloth.build import build_fabrics
+from nuno.simulation.cloth import build_fabrics
 from nuno_cloth.fabrics.material import Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.membrane import build_triangles

@@ -10,7 +10,7 @@ import pytest
 from nets import make_system
 
 from nuno.plugin_contract import registry
-from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth import join_fabrics
 from nuno_cloth.models.delaunay import fill_outline
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear

@@ -12,7 +12,7 @@ import scipy.sparse.linalg
 from nets import make_system
 from triangle_sheets import KINDS, matrix, plate, square
 
-from nuno.simulation.cloth.join import join_fabrics
+from nuno.simulation.cloth import join_fabrics
 from nuno_cloth.fabrics.kes import bending_energy
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending

@@ -8,7 +8,7 @@ import ipctk
 import numpy as np
 import pytest
 
-from nuno.simulation.cloth.yarns import structural_edges
+from nuno.simulation.yarns import structural_edges
 from nuno_cloth.models.delaunay import fill_outline, triangulate
 from nuno_cloth.models.membrane import open_spans
 from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures

@@ -13,9 +13,9 @@ from persons import bar, skinned
 from sheets import Pile, sheet
 
 from nuno.bus.encodings import BadMessage
+from nuno.collision.bodies import surface
 from nuno.collision.distance import penetration, signed_distance
 from nuno.collision.messages import decode_geometry, encode_geometry
-from nuno.collision.surfaces import surface
 from nuno_bench.piles import Oracle
 from nuno_contact.offset.bodies import CATCH_UP, PLACED, STANDS, pose_solids, set_solid_poses
 from nuno_contact.offset.contact_state import LEFT_OUT, TOUCHING

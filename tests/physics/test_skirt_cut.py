@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno.fit.read import MEASURED
+from nuno.api.fit import MEASURED
 from nuno_cloth.models.skirt import SHARES, Skirt, SkirtConfig
 from nuno_contact.figures.person import torso_mesh
 from nuno_schemas.errors import BadInput

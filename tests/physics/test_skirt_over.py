@@ -15,7 +15,7 @@ from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import penetration
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
 from nuno_cloth.models.skirt_over import find_height
 from nuno_contact.figures.leg import leg_mesh
@@ -106,9 +106,9 @@ def starts_outside(loaded: scene_file.Loaded) -> None:
     """By the measure that runs report; and its waist goes with the body."""
     bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
-    fabric, pieces = build.build_fabric(loaded, bodies.geometry, poses)
+    fabric, pieces = cloth.build_fabric(loaded, bodies.geometry, poses)
     assert penetration(fabric.position, bodies.geometry, poses).max() == 0.0
-    (carried,) = build.bind(loaded, fabric, pieces, bodies.geometry, poses)
+    (carried,) = cloth.bind(loaded, fabric, pieces, bodies.geometry, poses)
     assert carried.vertices.tolist() == np.flatnonzero(fabric.pinned).tolist()
     assert carried.local == pytest.approx(fabric.position[fabric.pinned], abs=1e-12)
 
@@ -132,7 +132,7 @@ def test_it_starts_outside_of_a_measured_body(fields: dict[str, object], shared_
 
 def test_it_stands_by_itself_if_that_is_said(tmp_path: Path) -> None:
     loaded = load(tmp_path, {"over": {"body": "b"}, "attach": None}, TORSO)
-    assert build.build_fabric(loaded)[0].bindings == ()
+    assert cloth.build_fabric(loaded)[0].bindings == ()
 
 
 @pytest.mark.full

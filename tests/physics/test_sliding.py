@@ -17,8 +17,8 @@ from sliding_world import GAP, G, World, body, loose
 
 from nuno.collision.distance import penetration, signed_distance
 from nuno.scene.scene_file import read
-from nuno.simulation.body_forces import feel
 from nuno.simulation.run import Simulation
+from nuno.simulation.service import feel
 from nuno_contact.sliding.grip import hold_forces
 from nuno_contact.sliding.plugin import Sliding, SlidingBody, SlidingConfig, make_slides
 from nuno_geometry.tree import build_tree

@@ -20,7 +20,7 @@ from nets import (
     triangulate,
 )
 
-from nuno.simulation.cloth.start_checks import start_warnings
+from nuno.simulation.start_checks import start_warnings
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.forces.energy import measure_energy

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from persons import bar, skinned
 
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_integrators.bindings import make_bindings, place_bound, set_binding_poses
 from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.fabric import Binding, Float
@@ -27,7 +27,7 @@ def bent(half: float, t: float = 1.0) -> Poses:
 def carry(x: Float, frame: str | None = None, poses: Poses = STILL, geometry: Geometry | None = None) -> Carried:
     """What carries vertices x (n, 3) that are held on the bar."""
     fabric: Any = SimpleNamespace(position=x, bindings=(Binding(np.arange(len(x), dtype=np.int32), "bar", frame),))
-    (one,) = build.bind(SimpleNamespace(), fabric, [], geometry or skinned(), poses)  # type: ignore[arg-type]
+    (one,) = cloth.bind(SimpleNamespace(), fabric, [], geometry or skinned(), poses)  # type: ignore[arg-type]
     return one
 
 

@@ -43,7 +43,7 @@ def one_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def show(folder: Path, *words: str) -> tuple[int, str]:
     """Exit code and page of `nuno gallery contact`."""
     _, parser = parser_of("gallery")
-    code = gallery.main(parser.parse_args(["contact", *words, "--out", str(folder)]))
+    code = gallery.gallery_command(parser.parse_args(["contact", *words, "--out", str(folder)]))
     return code, (folder / "contact.html").read_text()
 
 

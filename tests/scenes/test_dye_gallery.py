@@ -88,7 +88,7 @@ def test_streaks_and_mottle_are_those_that_were_drawn() -> None:
 def test_the_page_holds_every_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     module, parser = parser_of("gallery")
     assert module is gallery
-    assert gallery.main(parser.parse_args(["dye", "--scenes", "fig8a,fig8d", "--out", str(tmp_path)])) == 0
+    assert gallery.gallery_command(parser.parse_args(["dye", "--scenes", "fig8a,fig8d", "--out", str(tmp_path)])) == 0
     text = (tmp_path / "dye.html").read_text()
     assert text.count("data:image/png;base64,") == 2 and "bar met" in text
     assert "cloth is mottled" in capsys.readouterr().out

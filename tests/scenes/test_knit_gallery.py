@@ -35,7 +35,7 @@ def show(folder: Path, *words: str) -> tuple[int, str]:
     """Exit code and page of `nuno gallery knit`."""
     module, parser = parser_of("gallery")
     assert module is gallery
-    code = gallery.main(parser.parse_args(["knit", *words, "--out", str(folder)]))
+    code = gallery.gallery_command(parser.parse_args(["knit", *words, "--out", str(folder)]))
     return code, (folder / "knit.html").read_text()
 
 

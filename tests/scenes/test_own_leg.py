@@ -13,7 +13,7 @@ import yaml
 from nuno.cli.common import load_scene
 from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_contact.figures.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -32,7 +32,7 @@ def load(*overrides: str) -> Loaded:
 
 
 def fabric(*overrides: str) -> Fabric:
-    return build.build_fabric(load(*overrides))[0]
+    return cloth.build_fabric(load(*overrides))[0]
 
 
 def save(path: Path, turned: bool = False, unit: float = 1.0) -> Path:
@@ -127,4 +127,4 @@ def test_only_what_the_user_names_is_read_from_outside(tmp_path: Path, monkeypat
     data["bodies"][0]["collider"] = {"plugin": "mesh", "file": "mine.obj"}
     scene.write_text(yaml.safe_dump(data))
     with pytest.raises(BadInput, match="no such file"):
-        build.build_fabric(load_scene(SimpleNamespace(scene=str(scene), overrides=[], root=[])))  # type: ignore[arg-type]
+        cloth.build_fabric(load_scene(SimpleNamespace(scene=str(scene), overrides=[], root=[])))  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import pytest
 from nuno.collision.bodies import build_bodies
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.simulation.run import Simulation
 from nuno_schemas.fabric import Fabric, Float
 
@@ -100,8 +100,8 @@ def is_quick(parameters: Mapping[str, Any]) -> bool:
 @pytest.mark.parametrize("names", list(product(MODELS, repeat=2)), ids=" and ".join)
 def test_what_two_objects_are_made_of_is_what_each_is_made_of(names: tuple[str, str], folder: Path) -> None:
     loaded = load(folder, names)
-    first, second = build.build_fabrics(loaded)
-    joined, pieces = build.build_fabric(loaded)
+    first, second = cloth.build_fabrics(loaded)
+    joined, pieces = cloth.build_fabric(loaded)
     assert [(piece.start, piece.stop) for piece in pieces] == [(0, first.number), (first.number, joined.number)]
     one, other, both = elements(first), elements(second), elements(joined)
     assert set(both) == set(one) | set(other)

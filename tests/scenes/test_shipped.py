@@ -17,7 +17,7 @@ from nuno.collision.distance import penetration
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.simulation.run import Simulation
 from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.plugin import ImplicitEuler
@@ -75,7 +75,7 @@ def test_waist_follows_its_frame(name: str) -> None:
     place = [bodies.poses(frame / rate) for frame in (0, FRAMES)]
     waist = [simulation.fabric.position[binding.vertices], simulation.state.x[binding.vertices]]
     local = [
-        (x - p.translation[index]) @ build.rotation_matrices(p.rotation[index])
+        (x - p.translation[index]) @ cloth.rotation_matrices(p.rotation[index])
         for x, p in zip(waist, place, strict=True)
     ]
     np.testing.assert_allclose(local[1], local[0], atol=1e-12)

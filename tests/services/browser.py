@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from nuno_bench import chromium
+from nuno_bench.speed import studio as chromium
 
 KEYS = {"Tab": 9, "Enter": 13, "Escape": 27, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39}
 KEYS |= {"ArrowDown": 40, ",": 188, "-": 189, ".": 190}

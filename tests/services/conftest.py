@@ -17,8 +17,8 @@ from studio_desk import write_sheet
 
 from nuno.bus.sessions import spoke
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server
-from nuno.studio.pages.worker import Workshop
+from nuno.studio.processes import Workshop
+from nuno.studio.server import Server
 
 
 class Shared:

@@ -12,7 +12,7 @@ from typing import Any
 
 from scenes import BALL, write_scene
 
-from nuno.report.make import Report, make_report
+from nuno.report.run_report import Report, make_report
 from nuno.runtime import runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options

@@ -14,7 +14,7 @@ FLAGS = ("--repeats", "1", "--budget", "600")
 
 def arguments(path: Path, *flags: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    precision.add_arguments(parser)
+    precision.precision_arguments(parser)
     return parser.parse_args([str(path), *FLAGS, "--out", str(path.parent / "out"), *flags])
 
 

@@ -10,12 +10,12 @@ from scenes import write_scene
 from scipy.spatial import Delaunay
 
 from nuno.scene import scene_file
-from nuno.simulation.cloth.numbering import invert
+from nuno.simulation.renumbering import invert
 from nuno.simulation.run import Simulation
 from nuno_schemas.fabric import Float, Int
 
 SIDE = 46
-"""Vertices along a side: more than nuno.simulation.cloth.numbering.FEWEST in all."""
+"""Vertices along a side: more than nuno.simulation.renumbering.FEWEST in all."""
 BALL = {"name": "ball", "friction": 0.5, "collider": {"plugin": "sphere", "radius": 0.1, "centre": [0.4, 0.5, -0.103]}}
 DOWN = {"gravity": [0, 0, -9.81]}
 

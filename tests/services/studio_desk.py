@@ -12,8 +12,8 @@ import pytest
 from browser import Page
 
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server
-from nuno_bench.chromium import find_browser
+from nuno.studio.server import Server
+from nuno_bench.speed.studio import find_browser
 
 NEEDS_BROWSER = pytest.mark.skipif(find_browser() is None, reason="no chromium to open the page in")
 

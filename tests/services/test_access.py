@@ -20,10 +20,10 @@ from refusals import largest_file
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus import certificates, credentials_folder
-from nuno.bus.credentials_folder import IN, PEOPLE, Rights, access_control, read_rights
-from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.query import Query
+from nuno.bus import credentials
+from nuno.bus import credentials as certificates
+from nuno.bus.credentials import IN, PEOPLE, Rights, access_control, read_rights
+from nuno.bus.messages import Bus, Inbox, Message, Query
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.cli import main
 from nuno.runtime import runs, supervisor
@@ -45,7 +45,7 @@ def test_without_access_control_the_same_attempts_succeed(tmp_path: Path, monkey
     def none(roles: Any) -> dict[str, Any]:
         return {"enabled": False}
 
-    monkeypatch.setattr(credentials_folder, "access_control", none)
+    monkeypatch.setattr(credentials, "access_control", none)
     with access.guarded_run(tmp_path) as guarded:
         spared = Rights(asks=("finish/*",))  # the run is to be stopped by its operator
         # The hub waits for the run's services alone: to an observer that lags it may drop what was forged.
@@ -73,7 +73,7 @@ def test_a_run_is_heard_by_observers_and_its_bodies_are_operators(tmp_path: Path
 @pytest.fixture(scope="module")
 def certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("made") / "certs"
-    credentials_folder.make(path, ("router", "10.0.0.1"), credentials_folder.roles(), 30)
+    credentials.make(path, ("router", "10.0.0.1"), credentials.roles(), 30)
     return path
 
 
@@ -94,15 +94,15 @@ def test_only_the_owner_reads_the_files(certs: Path) -> None:
 
 
 def test_a_role_has_its_own_key_and_no_other(certs: Path) -> None:
-    keys = [secrets(certs / f"{role}.json5") for role in credentials_folder.roles()]
+    keys = [secrets(certs / f"{role}.json5") for role in credentials.roles()]
     private = [tls[name] for tls in keys for name in tls if "private_key" in name]
-    assert len(set(private)) == len(credentials_folder.roles())
+    assert len(set(private)) == len(credentials.roles())
     authority = base64.b64encode((certs / "authority.key").read_bytes()).decode()
     assert authority not in private
 
 
 def test_only_the_router_can_be_a_server(certs: Path) -> None:
-    for role in credentials_folder.roles():
+    for role in credentials.roles():
         found = certificate(certs / f"{role}.json5")
         usage = found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         serves = ExtendedKeyUsageOID.SERVER_AUTH in usage
@@ -130,7 +130,7 @@ def test_a_full_disk_leaves_no_part_of_an_authority(tmp_path: Path, capsys: pyte
 def test_one_that_was_moved_away_is_made_again_by_the_same_authority(certs: Path, tmp_path: Path) -> None:
     (certs / "dye.json5").rename(tmp_path / "old.json5")
     assert main(["certs", str(certs), "--roles", "dye"]) == 0
-    assert [kept.wrong for kept in credentials_folder.check(certs)] == [""] * len(credentials_folder.roles())
+    assert [kept.wrong for kept in credentials.check(certs)] == [""] * len(credentials.roles())
 
 
 @pytest.mark.parametrize(
@@ -147,23 +147,23 @@ def test_what_cannot_be_made_is_said(
     hosts: tuple[str, ...], roles: list[str], days: int, problem: str, tmp_path: Path
 ) -> None:
     with pytest.raises(BadInput, match=problem):
-        credentials_folder.make(tmp_path / "certs", hosts, roles, days)
+        credentials.make(tmp_path / "certs", hosts, roles, days)
     assert not list(tmp_path.iterdir()), "nothing is written"
 
 
 def test_check_names_what_is_amiss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, other = tmp_path / "certs", tmp_path / "other"
     assert main(["certs", str(path), "--check"]) == 2
-    credentials_folder.make(path, ("router",), ["router", "dye", "render", "viewer", "observer", "operator"], 1)
-    credentials_folder.make(other, ("router",), ["viewer"], 1)
+    credentials.make(path, ("router",), ["router", "dye", "render", "viewer", "observer", "operator"], 1)
+    credentials.make(other, ("router",), ["viewer"], 1)
     authority = certificates.load((path / "authority.pem").read_bytes(), (path / "authority.key").read_bytes())
-    old = credentials_folder.configuration("dye", certificates.sign(authority, "dye", -1), authority)
+    old = credentials.configuration("dye", certificates.sign(authority, "dye", -1), authority)
     (path / "dye.json5").write_bytes(old)
     (path / "viewer.json5").write_bytes((other / "viewer.json5").read_bytes())
     (path / "render.json5").write_bytes((path / "observer.json5").read_bytes())
     (path / "router.json5").chmod(0o644)
     (path / "operator.json5").write_text("{}")
-    found = {kept.role: kept.wrong for kept in credentials_folder.check(path)}
+    found = {kept.role: kept.wrong for kept in credentials.check(path)}
     assert "expired" in found["dye"]
     assert "another authority" in found["viewer"] and "another role's" in found["render"]
     assert "chmod 600" in found["router"] and "cannot be used" in found["operator"]
@@ -329,8 +329,8 @@ def test_the_hub_is_not_reached_by_the_machines_outer_addresses(tmp_path: Path) 
 
 
 def test_a_hub_that_is_there_and_that_no_session_reaches_is_told_from_none(tmp_path: Path) -> None:
-    credentials_folder.make(tmp_path / "ours", ("127.0.0.1",), ["router", "operator"], 1)
-    credentials_folder.make(tmp_path / "theirs", ("127.0.0.1",), ["operator"], 1)
+    credentials.make(tmp_path / "ours", ("127.0.0.1",), ["router", "operator"], 1)
+    credentials.make(tmp_path / "theirs", ("127.0.0.1",), ["operator"], 1)
     port, ours = free_port(), tmp_path / "ours"
     with hub(f"tls/127.0.0.1:{port}", str(ours / "router.json5")):
         for endpoint, config in (
@@ -351,7 +351,7 @@ def test_a_hub_that_is_there_and_that_no_session_reaches_is_told_from_none(tmp_p
 
 
 def test_a_service_refuses_the_certificate_of_another_role(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    credentials_folder.make(tmp_path / "certs", ("127.0.0.1",), ["recorder"], 1)
+    credentials.make(tmp_path / "certs", ("127.0.0.1",), ["recorder"], 1)
     words = ["serve", "collision", "hanging-sheet", "--run", "r1", "--connect", "tls/127.0.0.1:1", "--config"]
     assert main([*words, str(tmp_path / "certs" / "recorder.json5")]) == 2
     assert "this is the certificate of recorder" in capsys.readouterr().err

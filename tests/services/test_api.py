@@ -20,10 +20,10 @@ from scenes import CHAIN, write_chain, write_scene
 import nuno
 from nuno.api.export import ExportRequest
 from nuno.cli import main
-from nuno.cli.export import add_arguments
+from nuno.cli.recordings import export_arguments
 from nuno.recording.writer import part_of
+from nuno.runtime.launch import Plan
 from nuno.runtime.outcome import Outcome
-from nuno.runtime.plan import Plan
 from nuno.runtime.supervisor import Supervisor
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput, RunFailed
@@ -302,7 +302,7 @@ def test_refusals_are_in_the_words_of_the_call(
 
 def test_export_takes_every_flag_of_the_command() -> None:
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
+    export_arguments(parser)
     names = {action.dest for action in parser._actions} - {"help", "recording", "progress"}
     assert names == set(ExportRequest.model_fields)
 

@@ -16,13 +16,12 @@ from live_run import wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus import slow_consumers
+from nuno.bus import sessions as slow_consumers
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import hub_at, identity, spoke
 from nuno.collision.service import Collision
 from nuno.recorder.service import Recorder
-from nuno.report.make import make_report
-from nuno.report.show import lines
+from nuno.report.run_report import lines, make_report
 from nuno.runtime import driver, supervisor
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import Options
@@ -186,7 +185,7 @@ def test_a_run_that_is_interrupted_in_an_endless_step_says_how_far_it_is_recorde
 def test_a_slow_collision_service_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pause: float, ends: str
 ) -> None:
-    monkeypatch.setattr("nuno.bus.query.WAITING_AFTER", 0.2)
+    monkeypatch.setattr("nuno.bus.messages.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
     monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
     real = Collision.poses

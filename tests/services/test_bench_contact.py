@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno_bench import contact, piles
 from nuno_bench.contact import PileOutcome, run_pile
 from nuno_bench.piles import BODIES, SOLVERS, Oracle, irregular_square, random_pile
-from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.storage import SweepFile
+from nuno_bench.sweep.executor import Executor, SweepFile
 
 SHORT = 0.1
 """Duration of a scene [s]."""

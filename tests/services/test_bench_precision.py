@@ -20,12 +20,11 @@ from nuno.plugin_contract import registry
 from nuno_bench import machine
 from nuno_bench.precision import command as precision
 from nuno_bench.precision.command import Findings, orders, report
-from nuno_bench.precision.settings import choose_solvers
-from nuno_bench.precision.sweep import MORE, Runner, SolverPoint, Sweep, fit_order, judge, run_sweep
+from nuno_bench.precision.sweep import MORE, Runner, SolverPoint, Sweep, choose_solvers, fit_order, judge, run_sweep
 from nuno_bench.problem import AMOUNTS, POSITIONS, Problem, simulate
 from nuno_bench.reference import Reference
 from nuno_bench.report.page import number
-from nuno_bench.sweep.storage import SweepFile
+from nuno_bench.sweep.executor import SweepFile
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_kernels import kernel
 from nuno_schemas.errors import BadInput

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from nuno.cli import main
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation

@@ -34,8 +34,7 @@ from nuno_bench.stability import (
     step_counts,
     stiffen,
 )
-from nuno_bench.sweep.executor import Executor
-from nuno_bench.sweep.storage import SweepFile, pack
+from nuno_bench.sweep.executor import Executor, SweepFile, pack
 from nuno_schemas.errors import BadInput, RunFailed
 
 SCENE = """\

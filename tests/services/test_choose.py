@@ -20,10 +20,9 @@ from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.simulation.solver_selection import cloth as choose
-from nuno.simulation.solver_selection.selection import PROMISE
-from nuno.simulation.solver_selection.trials import Method, Trials
+from nuno.simulation.solver_selection.trials import PROMISE, Method, Trials
 from nuno_bench.piles import random_scene
 from nuno_bench.precision import accuracy
 from nuno_bench.precision.accuracy import promised_frames
@@ -106,7 +105,7 @@ def test_pays_no_more_than_it_promises(tmp_path: Path) -> None:
 def chosen_fewest(loaded: Loaded) -> int:
     """Steps a frame that stability alone would ask for."""
     problem = make_problem(loaded)
-    plugin, state = loaded.integrator.plugin, build.start_state(problem.fabric)
+    plugin, state = loaded.integrator.plugin, cloth.start_state(problem.fabric)
     limit = plugin.limit(loaded.integrator.config, problem.system, state).dt
     return int(np.ceil(problem.frame / (0.7 * limit)))
 

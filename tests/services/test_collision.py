@@ -16,7 +16,7 @@ from persons import skinned
 from nuno.collision import distance as mesh_module
 from nuno.collision.distance import distances, make_columns, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
-from nuno.plugin_contract.results import check_body
+from nuno.plugin_contract.guards import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, Skin, rotation_matrices
 from nuno_schemas.plugin import BodyShape, Mover
 

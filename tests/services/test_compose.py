@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import nuno
-from nuno.bus import credentials_folder
+from nuno.bus import credentials
 from nuno.bus.sessions import free_port
 
 FILE = Path(__file__).resolve().parents[2] / "docker-compose.yml"
@@ -55,7 +55,7 @@ def test_its_commands_make_a_complete_recording(compose: dict[str, Any], tmp_pat
     """With the certificates that `nuno certs` makes, each service with its own."""
     port = free_port()
     swaps = {"tls/0.0.0.0:7447": f"tls/127.0.0.1:{port}", "tls/router:7447": f"tls/localhost:{port}"}
-    credentials_folder.make(tmp_path / "certs", ("localhost",), credentials_folder.roles(), 1)
+    credentials.make(tmp_path / "certs", ("localhost",), credentials.roles(), 1)
 
     def command(name: str) -> list[str]:
         words = [swaps.get(word, word) for word in compose["services"][name]["command"]]

@@ -19,7 +19,9 @@ from scenes import write_scene
 import nuno
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float
-from nuno_testing import bodies, forces, integrators, rides
+from nuno_testing import bodies, integrators
+from nuno_testing import checks as forces
+from nuno_testing import integrators as rides
 from nuno_testing.subject import Subject, make_subject
 
 __all__ = ["packages"]

@@ -21,13 +21,13 @@ from nuno.bus.encodings import decode_arrays
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli import main
-from nuno.cli.control import SLOW
-from nuno.recording.restore import control_events
+from nuno.cli.active_runs import SLOW
+from nuno.recording.reader import control_events
 from nuno.runtime import runs
 from nuno.runtime.driver import Driver
 from nuno.scene import scene_file
 from nuno.scene.override import apply_override
-from nuno.simulation.cloth.build import build_fabric
+from nuno.simulation.cloth import build_fabric
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import NOW
 from nuno_schemas.errors import BadInput, RunFailed
@@ -121,7 +121,7 @@ def test_whoever_waits_for_a_long_frame_is_told_why(
     leave: tuple[Run, threading.Event], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The frame ends only once it is said."""
-    monkeypatch.setattr("nuno.bus.query.WAITING_AFTER", 0.05)
+    monkeypatch.setattr("nuno.bus.messages.WAITING_AFTER", 0.05)
     said = Opened(leave[1])
     monkeypatch.setattr(sys, "stderr", said)
     assert main(["control", leave[0].run, "pause"]) == 0

@@ -18,12 +18,12 @@ from sewing_patterns import back, front, pattern, stitch
 
 import nuno
 from nuno.cli import main
-from nuno.collision.surfaces import box_mesh
+from nuno.collision.bodies import box_mesh
 from nuno.recording.reader import open_recording
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.build import build_start
+from nuno.simulation import cloth
+from nuno.simulation.cloth import build_start
 from nuno.simulation.run import Simulation
 from nuno_bench import piles
 from nuno_bench.piles import Oracle, write_obj
@@ -323,7 +323,7 @@ def crosses(fabric: Fabric, x: Float) -> bool:
 
 def start(path: Path, *overrides: str) -> Fabric:
     """The cloth where a scene starts."""
-    return build.build_fabric(scene_file.read(path, overrides))[0]
+    return cloth.build_fabric(scene_file.read(path, overrides))[0]
 
 
 def test_a_tangled_start_is_refused_and_names_what_untangles_it(tmp_path: Path) -> None:
@@ -434,7 +434,7 @@ def test_a_garment_that_starts_in_itself_is_untangled() -> None:
            "objects.shirt.model.cuff=15cm"]  # fmt: skip
     path = shipped.find("shirt-on-mannequin")
     before = start(path, *low)
-    after = build.build_start(scene_file.read(path, [*low, "operations=[{plugin: untangle}]"]))
+    after = cloth.build_start(scene_file.read(path, [*low, "operations=[{plugin: untangle}]"]))
     assert crosses(before, before.position)
     assert not crosses(before, after.fabrics[0].position)
     assert after.facts[0]["facts"]["largest"] < 0.03

@@ -16,16 +16,15 @@ from live_run import PATIENCE, wait_until
 from studio_desk import studio
 
 import nuno
-from nuno.cli.draw import open_desk
-from nuno.recording.restore import control_events
+from nuno.cli.studio import open_desk
+from nuno.recording.reader import control_events
 from nuno.scene import scene_file, shipped, yaml_lines
-from nuno.simulation.cloth.build import Piece
+from nuno.simulation.cloth import Piece
 from nuno.studio.desk import Desk
-from nuno.studio.draw.append import append_items
-from nuno.studio.draw.lines import by_object, positions, read_strokes
-from nuno.studio.live_view.snapshot import Sight
-from nuno.studio.pages.guard import MOST_BYTES
-from nuno.studio.pages.server import Server
+from nuno.studio.draw import by_object, positions, read_strokes
+from nuno.studio.live_view import Sight
+from nuno.studio.scenes import append_items
+from nuno.studio.server import MOST_BYTES, Server
 from nuno_schemas.errors import BadInput
 
 ITEM = {"plugin": "wrinkle", "object": "cloth", "lines": [{"on_faces": [{"face": 1, "at": [0.5, 0.5, 0]}]}]}

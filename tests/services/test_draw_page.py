@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from studio_desk import NEEDS_BROWSER, served
 
 import nuno
-from nuno.cli.draw import open_desk
-from nuno.recording.restore import control_events
+from nuno.cli.studio import open_desk
+from nuno.recording.reader import control_events
 from nuno.runtime import runs
 from nuno.scene import scene_file
 from nuno.studio.desk import Desk
-from nuno.studio.draw.lines import positions, read_strokes
-from nuno.studio.live_view.snapshot import Sight
+from nuno.studio.draw import positions, read_strokes
+from nuno.studio.live_view import Sight
 from nuno_schemas.fabric import Float
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]

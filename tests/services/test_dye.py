@@ -21,7 +21,7 @@ from PIL import Image
 import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options

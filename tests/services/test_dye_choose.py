@@ -23,7 +23,7 @@ from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
-from nuno.simulation.solver_selection.selection import PROMISE
+from nuno.simulation.solver_selection.trials import PROMISE
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import CONCENTRATION, DYE_STATUS

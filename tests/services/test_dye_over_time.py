@@ -19,9 +19,9 @@ from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step, give
 from nuno.plugin_contract import registry
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file

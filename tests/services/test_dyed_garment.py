@@ -20,7 +20,7 @@ import nuno
 from nuno.bus.encodings import decode_arrays
 from nuno.cli import main
 from nuno.dye.run import DyeRun
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.publisher import Replay
 from nuno.replay.verification import verify
 from nuno.runtime import supervisor

@@ -20,13 +20,22 @@ from recorded_sheet import RATE, Sheet, items, metadata, write
 import nuno
 from nuno.cli import main
 from nuno.exports.animations import export_animation
-from nuno.exports.cloth import ShownPiece, body_vertices, cut_pieces, read_bodies, read_pieces
+from nuno.exports.cloth import (
+    CLOTHS,
+    PLAIN,
+    ShownPiece,
+    body_vertices,
+    cut_pieces,
+    paint_stretch,
+    read_bodies,
+    read_pieces,
+)
 from nuno.exports.meshes import export_mesh, export_meshes
-from nuno.exports.paint import CLOTHS, PLAIN, paint_stretch
 from nuno.exports.pictures import Colour, Painter, _cloth_mesh, export_picture
-from nuno.exports.tables import export_csv, export_npz
+from nuno.exports.tables import export_csv
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
+from nuno.replay.frame_state import export_npz
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

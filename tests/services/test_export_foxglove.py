@@ -22,9 +22,8 @@ import nuno
 from nuno.bus.encodings import decode_arrays, encode_arrays
 from nuno.cli import main
 from nuno.collision.messages import encode_geometry, encode_poses
-from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
+from nuno.exports.cloth import body_vertices, paint_stretch, read_bodies, read_pieces
 from nuno.exports.foxglove import describe, export_foxglove
-from nuno.exports.paint import paint_stretch
 from nuno.recording.reader import open_recording
 from nuno_schemas import messages
 from nuno_schemas.bodies import Poses

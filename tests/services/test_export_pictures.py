@@ -13,9 +13,9 @@ from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 
 from nuno.cli import main
-from nuno.exports import paint
+from nuno.exports import cloth as paint
 from nuno.exports.animations import Shot, _choose_palette, _write_gif, export_animation
-from nuno.exports.paint import SIDES, tubes
+from nuno.exports.cloth import SIDES, tubes
 from nuno.exports.pictures import Painter, choose_frames, export_picture
 from nuno.recording.reader import open_recording
 from nuno_schemas.colour import colours

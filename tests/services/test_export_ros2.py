@@ -19,8 +19,7 @@ from scenes import write_scene
 import nuno
 from nuno.cli import main
 from nuno.collision.messages import encode_geometry, encode_poses
-from nuno.exports.cloth import body_vertices, read_bodies, read_pieces
-from nuno.exports.paint import paint_stretch
+from nuno.exports.cloth import body_vertices, paint_stretch, read_bodies, read_pieces
 from nuno.exports.ros2 import export_ros2
 from nuno.recording.reader import open_recording
 from nuno_schemas.bodies import Poses

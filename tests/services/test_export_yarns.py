@@ -16,7 +16,7 @@ import nuno
 from nuno.api.export import tell_yarns
 from nuno.cli import main
 from nuno.exports.cloth import read_frame
-from nuno.exports.curves import Form, export_yarns, make_yarns
+from nuno.exports.yarns import Form, export_yarns, make_yarns
 from nuno.recording.reader import open_recording
 from nuno_contact.figures.leg import leg_mesh
 from nuno_geometry.closest_point import closest_points
@@ -183,7 +183,7 @@ def test_exporting_other_things_loads_no_knit(recorded: Path, tmp_path: Path) ->
     code = (
         "import sys; from nuno.cli import main; "
         f"main(['export', {str(recorded)!r}, '--csv', {str(tmp_path / 'x.csv')!r}]); "
-        "print({'nuno_knit.smooth', 'nuno_knit.repair', 'nuno.exports.curves'} & set(sys.modules))"
+        "print({'nuno_knit.smooth', 'nuno_knit.repair', 'nuno.exports.yarns'} & set(sys.modules))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.splitlines()[-1] == "set()"

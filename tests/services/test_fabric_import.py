@@ -15,9 +15,9 @@ import yaml
 from PIL import Image
 
 from nuno.cli import main
-from nuno.cli.presets import digits, find_presets
+from nuno.cli.textiles import digits, find_presets
 from nuno.plugin_contract import registry
-from nuno.scene.templates.laboratory_sheet import import_sheet, read_values
+from nuno.scene.templates import import_sheet, read_values
 from nuno_bench.instruments import sheet, specimens, swatches
 from nuno_bench.instruments.sheet import cells, find_fabric
 from nuno_bench.sweep.executor import Executor

@@ -23,7 +23,7 @@ from nuno.bus.messages import Bus, Inbox
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.recorder import service as recording_service
-from nuno.recording.gaps import shortcoming
+from nuno.recording.reader import shortcoming
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.runtime import supervisor
 from nuno.runtime.service import SUPERVISOR, Options

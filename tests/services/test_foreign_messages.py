@@ -18,8 +18,7 @@ from live_run import Run
 
 import nuno
 from nuno.bus.encodings import BadMessage, check_protobuf, decode_arrays, decode_points, encode_arrays, encode_points
-from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.query import Query
+from nuno.bus.messages import Bus, Inbox, Message, Query
 from nuno.bus.sessions import free_port, hub
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.runtime import supervisor

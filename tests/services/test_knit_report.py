@@ -10,14 +10,14 @@ import pytest
 
 import nuno
 from nuno.cli import main
-from nuno.exports.paint import SIDES
+from nuno.exports.cloth import SIDES
 from nuno.exports.pictures import Painter
-from nuno.exports.tables import export_npz
 from nuno.recording.reader import open_recording
-from nuno.report.show import lines
+from nuno.replay.frame_state import export_npz
+from nuno.report.run_report import lines
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.yarns import measure_courses
+from nuno.simulation import cloth
+from nuno.simulation.yarns import measure_courses
 from nuno_schemas.colour import colours
 from nuno_schemas.errors import BadInput
 
@@ -59,7 +59,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]
 
 def test_courses_are_as_long_as_their_links_together() -> None:
     """All links at 1.5 of their rest; then the last course's legs, ten of its nineteen links, by 1 m more."""
-    fabric, _ = build.build_fabric(scene_file.read(shipped.find("knit/stitch-10x10")))
+    fabric, _ = cloth.build_fabric(scene_file.read(shipped.find("knit/stitch-10x10")))
     found = measure_courses(fabric, fabric.position)
     assert len(found["rest"]) == 9 and found["min"] == pytest.approx(1.5) == found["max"]
     x = fabric.position.copy()

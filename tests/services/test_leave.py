@@ -22,16 +22,17 @@ from scenes import write_chain, write_scene
 import nuno
 from nuno import process
 from nuno.api import progress
+from nuno.api.plan import RuntimeEstimate, run_seconds
 from nuno.api.progress import ProgressLine
-from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
 from nuno.cli import main
 from nuno.formatting import roughly
-from nuno.runtime import launch, watchdog
-from nuno.runtime.watchdog import FrameWatchdog
+from nuno.runtime import launch
+from nuno.runtime import service as watchdog
+from nuno.runtime.service import FrameWatchdog
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
-from nuno.simulation.solver_selection.budget import Budget
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery.kind import Gallery, ShownScene
 from nuno_bench.sweep.executor import Executor

@@ -25,11 +25,10 @@ from scenes import write_scene
 import nuno
 from nuno.bus.sessions import free_port, spoke
 from nuno.cli import main
-from nuno.collision.live import read_poses
-from nuno.collision.messages import POSES_QUERY
+from nuno.collision.messages import POSES_QUERY, read_poses
 from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
@@ -313,7 +312,7 @@ def test_a_frame_that_waits_can_be_paused_and_stopped(tmp_path: Path) -> None:
 
 def test_a_program_that_has_died_and_poses_for_nobody_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the key that is listened to, once each."""
-    monkeypatch.setattr("nuno.collision.live.WAITING_AFTER", 0.3)
+    monkeypatch.setattr("nuno.collision.messages.WAITING_AFTER", 0.3)
     run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
     run.wait_until_paused()
     key = f"nuno/{run.run}/poses/hand"

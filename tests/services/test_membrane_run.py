@@ -14,7 +14,7 @@ from nuno.exports.cloth import read_pieces
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth as build
 from nuno_bench.problem import lengths_at_rest
 from nuno_bench.stability import shortest, stiffen
 from nuno_schemas.errors import BadInput

@@ -19,7 +19,7 @@ from nuno.cli import main
 from nuno.collision.bodies import build_bodies
 from nuno.dye.run import DyeRun
 from nuno.recording.recorded import Checkpoint
-from nuno.report.make import make_report
+from nuno.report.run_report import make_report
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.runtime.stepper import copy_into

@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from refusals import largest_file
 
 from nuno.cli import main
-from nuno.cli.new import KINDS
+from nuno.cli.run import KINDS
 from nuno.scene import scene_file, shipped
-from nuno.scene.commented import WIDTH, comment
+from nuno.scene.edit import WIDTH, comment
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno_schemas.scene import Scene
 

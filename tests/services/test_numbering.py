@@ -19,8 +19,9 @@ from nuno.replay.verification import Verification, verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build, numbering
-from nuno.simulation.cloth.numbering import find_numbers, invert, keep_numbers, renumber
+from nuno.simulation import cloth as build
+from nuno.simulation import renumbering
+from nuno.simulation.renumbering import find_numbers, invert, keep_numbers, renumber
 from nuno.simulation.run import Simulation
 from nuno_cloth.wind import Wind
 from nuno_schemas.errors import BadInput
@@ -133,7 +134,7 @@ def test_old_vertices_of_changed_cloth_keep_their_places_and_new_ones_come_last(
 def test_what_stands_in_good_order_is_left_alone(name: str) -> None:
     loaded = scene_file.read(shipped.find(name))
     fabric, pieces = build.build_fabric(loaded)
-    assert fabric.number > numbering.FEWEST and find_numbers(fabric, pieces) is None
+    assert fabric.number > renumbering.FEWEST and find_numbers(fabric, pieces) is None
 
 
 def test_an_object_in_good_order_is_left_alone_beside_one_in_none(
@@ -157,7 +158,7 @@ def test_an_object_in_good_order_is_left_alone_beside_one_in_none(
     simulation.step()
     x_end = simulation.state.x
     assert np.abs(x_end[start:n][old] + beside - x_end[n:]).max() < 1e-12
-    monkeypatch.setattr(numbering, "FEWEST", 10_000)
+    monkeypatch.setattr(renumbering, "FEWEST", 10_000)
     plain = simulated(tmp_path, {}, objects=objects)
     plain.step()
     assert plain.numbers is None and plain.state.x[:n].tobytes() == x_end[:n].tobytes()
@@ -226,7 +227,7 @@ def test_a_recording_of_cloth_that_was_not_renumbered_goes_on_so(
     """As from before cloth was renumbered: what friction remembers is then in the user's order."""
     mixed, corners, _ = shuffled(*irregular(SIDE))
     model = mesh(tmp_path, "far.obj", mixed, corners)
-    monkeypatch.setattr(numbering, "FEWEST", 10_000)
+    monkeypatch.setattr(renumbering, "FEWEST", 10_000)
     plain = simulated(tmp_path, model, bodies=[BALL])
     for _ in range(2):
         plain.step()
@@ -246,7 +247,7 @@ def test_a_recording_is_in_the_users_order_and_goes_on_in_the_same_bits(
     """Of cloth that lies on a ball which rubs, also where a line of wrinkles has been drawn on it meanwhile: what
     friction remembers goes with the vertices.
     """
-    monkeypatch.setattr(numbering, "FEWEST", 9)
+    monkeypatch.setattr(renumbering, "FEWEST", 9)
     x, faces = irregular(12)
     mixed, corners, old = shuffled(x, faces)
     cloth = {"fabric": {"density": 0.2, "structural": 20.0, "hinge": 1e-5}}

@@ -18,21 +18,19 @@ from scenes import write_scene
 from sewing_patterns import read_pattern
 
 import nuno
+from nuno.api.fit import measure
 from nuno.cli import main
-from nuno.exports.cloth import cut_pieces, read_frame, read_pieces
+from nuno.exports.cloth import cut_pieces, paint_stretch, read_frame, read_pieces
 from nuno.exports.meshes import export_mesh
-from nuno.exports.paint import paint_stretch
 from nuno.exports.pattern import export_pattern, strains
-from nuno.fit.measure import measure
-from nuno.plugin_contract.results import check_fabric
+from nuno.plugin_contract.guards import check_fabric
 from nuno.plugin_contract.values import ContractError
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
-from nuno.simulation.cloth.build import build_fabric
-from nuno.simulation.cloth.join import join_fabrics
-from nuno.simulation.cloth.numbering import renumber
+from nuno.simulation.cloth import build_fabric, join_fabrics
 from nuno.simulation.operations import fabric_arrays, fabric_from, frames_bound
+from nuno.simulation.renumbering import renumber
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig
 from nuno_cloth.sewing.sew import sew

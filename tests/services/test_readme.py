@@ -107,7 +107,7 @@ def test_cheap_commands_of_the_first_pages_run(
     words: list[str], recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("nuno.viewer.require.has_screen", lambda: False)
+    monkeypatch.setattr("nuno.viewer.live.has_screen", lambda: False)
     (tmp_path / "recordings").mkdir()
     shutil.copy(recording, tmp_path / "recordings")
     longer = ["--set", "duration=0.2 s"] if "--resume" in words else []  # the recorded run has come to its end

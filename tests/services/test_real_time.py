@@ -11,7 +11,7 @@ from live_run import Run, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.api.runtime_estimate import keep_up
+from nuno.api.plan import keep_up
 from nuno.cli import main
 from nuno.runtime.driver import Clock
 from nuno.scene import scene_file

@@ -18,8 +18,7 @@ from recorded_sheet import GEOMETRY_VALUE, RATE, REPORT_TEXT, Sheet, items, meta
 
 from nuno.bus.encodings import BadMessage, encode_arrays, encode_points
 from nuno.collision.messages import decode_geometry
-from nuno.recording.layout import FREE, MOST_TOPICS, PACKED
-from nuno.recording.mcap_file import McapFile
+from nuno.recording.mcap_file import FREE, MOST_TOPICS, PACKED, McapFile
 from nuno.recording.reader import END, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter, check_target, part_of

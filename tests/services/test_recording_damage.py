@@ -22,9 +22,8 @@ import nuno
 from nuno import output_files
 from nuno.cli import main
 from nuno.recording import writer as writer_module
-from nuno.recording.gaps import shortcoming
 from nuno.recording.mcap_file import MAGIC
-from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import RecordingWriter, check_target, part_of
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATE

@@ -25,11 +25,10 @@ from nuno.bus.messages import Bus, Inbox, Message, Publisher
 from nuno.bus.sessions import free_port, hub
 from nuno.cli import main
 from nuno.recorder import service
-from nuno.recording.gaps import count_gaps, find_lacks, shortcoming
 from nuno.recording.mcap_file import McapFile
-from nuno.recording.reader import END, open_recording
+from nuno.recording.reader import END, count_gaps, find_lacks, open_recording, shortcoming
 from nuno.recording.writer import RecordingWriter, part_of, topic_of
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.service import SUPERVISOR, Context, Options, ack_topic
 from nuno.scene import scene_file, shipped

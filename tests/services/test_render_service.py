@@ -16,15 +16,13 @@ from PIL import Image
 from refusals import Refused
 
 from nuno.bus.encodings import decode_picture
-from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import Query
+from nuno.bus.messages import Inbox, Message, Query
 from nuno.cli import main
-from nuno.exports.yarns import export_yarn_picture
+from nuno.exports.yarns import Artist, export_yarn_picture
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Frame
-from nuno.render.artist import Artist
 from nuno.runtime import supervisor
-from nuno.runtime.plan import make_plan
+from nuno.runtime.launch import make_plan
 from nuno.runtime.service import Context, Options
 from nuno.runtime.supervisor import DRAWING, UNDRAWN
 from nuno.scene import scene_file

@@ -25,7 +25,7 @@ from nuno.recording.writer import part_of
 from nuno.runtime import log
 from nuno.runtime.log import written
 from nuno.runtime.supervisor import Supervisor
-from nuno.studio.draw.append import write_whole
+from nuno.studio.scenes import write_whole
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import FrameStatus
 
@@ -254,7 +254,7 @@ def test_a_failed_export_of_frames_leaves_nothing(sheet: Path, monkeypatch: pyte
         if done == 3:
             raise BadInput("enough")
 
-    monkeypatch.setattr("nuno.cli.export.show_progress", fail)
+    monkeypatch.setattr("nuno.cli.recordings.show_progress", fail)
     before = set(sheet.parent.iterdir())
     assert main(["export", str(sheet), "--obj", str(sheet.parent / "frames")]) == 2
     assert set(sheet.parent.iterdir()) == before

@@ -12,8 +12,7 @@ from scenes import BALL, write_scene
 
 import nuno
 from nuno.cli import main
-from nuno.report.make import Report
-from nuno.report.show import brief, lines
+from nuno.report.run_report import Report, brief, lines
 from nuno.runtime.stepper import Stepped
 from nuno.scene.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 from nuno.simulation.run import Simulation

@@ -15,7 +15,7 @@ from scenes import write_chain
 
 import nuno
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth as build
 from nuno.simulation.relax import REST_TIME, Stillness
 from nuno.simulation.run import Simulation
 from nuno_schemas.bodies import Poses

@@ -20,11 +20,11 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus.query import PendingReply
+from nuno.bus.messages import PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime import supervisor as oversight

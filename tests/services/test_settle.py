@@ -182,7 +182,7 @@ def test_what_is_wrong_with_the_step_is_told_as_without_coarser_triangles(tmp_pa
 
 
 def test_a_force_that_knows_vertices_by_number_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nuno.simulation.coarse_start.takes_any_numbering", lambda loaded: False)
+    monkeypatch.setattr("nuno.simulation.run.takes_any_numbering", lambda loaded: False)
     with pytest.raises(BadInput, match=r"objects\[0\]\.model\.coarse: a force knows vertices by number"):
         begin(write(tmp_path, {}))
 

@@ -15,7 +15,7 @@ from nuno.api.plan import describe
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import page_files
+from nuno.studio.server import page_files
 from nuno_schemas.errors import BadInput
 
 
@@ -30,7 +30,7 @@ def run_to_end(desk: Desk, text: str = SHEET) -> dict[str, Any]:
 
 
 def test_the_page_takes_nothing_from_elsewhere_and_is_small() -> None:
-    files = page_files("nuno.studio")
+    files = page_files()
     text = "".join(body.decode() for _, body in files.values())
     assert set(re.findall(r"https?://[^\s\"'`]+", text)) == {"http://www.w3.org/2000/svg"}
     assert len(text) < 250_000

@@ -27,11 +27,10 @@ from live_run import PATIENCE, wait_until
 from studio_desk import FILE, NEEDS_BROWSER, studio, write_sheet
 
 from nuno.scene import shipped
-from nuno.studio import arrivals
+from nuno.studio import dropped_files as arrivals
 from nuno.studio.desk import Desk
-from nuno.studio.pages.guard import FILE as BYTES
-from nuno.studio.pages.guard import JSON, MOST_BYTES
-from nuno.studio.pages.server import MOST_CONNECTIONS, Server, door
+from nuno.studio.server import FILE as BYTES
+from nuno.studio.server import JSON, MOST_BYTES, MOST_CONNECTIONS, Server, door
 
 NET = (shipped.folder() / "pendulum.npz").read_bytes()
 NOW = b'{"do": "now"}'

@@ -14,16 +14,15 @@ from live_run import PATIENCE, wait_until
 from studio_desk import FILE, SHEET
 
 import nuno
-from nuno.cli.control import NEEDS
+from nuno.cli.active_runs import NEEDS
 from nuno.exports.cloth import read_pieces
 from nuno.runtime import runs
 from nuno.runtime.supervisor import control
 from nuno.scene import scene_file, shipped
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno.studio.live_view.sources import see_scene
-from nuno.studio.pages.guard import Refused
-from nuno.studio.pages.server import page_files
+from nuno.studio.live_view import see_scene
+from nuno.studio.server import Refused, page_files
 from nuno_schemas.colour import CONTROL
 from nuno_schemas.errors import BadInput
 
@@ -134,5 +133,5 @@ def check_set(desk: Desk, run: str) -> None:
 
 
 def test_the_page_has_the_colours_of_pictures() -> None:
-    text = page_files("nuno.studio")["scale.js"][1].decode()
+    text = page_files()["scale.js"][1].decode()
     assert tuple(re.findall(r'"(#[0-9a-f]{6})"', text)) == CONTROL

@@ -14,8 +14,8 @@ from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 from nuno.scene import scene_file
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno.studio.live_view.sources import see_scene
-from nuno.studio.pages.server import Server
+from nuno.studio.live_view import see_scene
+from nuno.studio.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

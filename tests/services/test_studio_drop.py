@@ -11,7 +11,7 @@ from studio_desk import FILE, NEEDS_BROWSER, look
 
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server
+from nuno.studio.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

@@ -17,7 +17,7 @@ from studio_desk import NEEDS_BROWSER, studio, write_sheet
 
 import nuno
 from nuno.studio.desk import KINDS, Desk
-from nuno.studio.pages.guard import Refused
+from nuno.studio.server import Refused
 from nuno_schemas.errors import BadInput
 
 

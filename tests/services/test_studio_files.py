@@ -17,9 +17,10 @@ from studio_desk import FILE
 from nuno.cli import main
 from nuno.dye.run import build_cloth
 from nuno.scene import scene_file, shipped
-from nuno.studio import arrivals, offers
+from nuno.studio import dropped_files as arrivals
+from nuno.studio import files as offers
 from nuno.studio.desk import Desk
-from nuno.studio.file_summary import look
+from nuno.studio.dropped_files import look
 from nuno_schemas.errors import BadInput
 
 OWN = shipped.folder()

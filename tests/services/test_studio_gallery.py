@@ -11,7 +11,7 @@ from studio_desk import FILE, NEEDS_BROWSER, look
 
 from nuno.scene import shipped
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server, page_files
+from nuno.studio.server import Server, page_files
 
 MOST = 2_000_000
 """Bytes of all that the page may load, but for the view in 3-D."""
@@ -23,7 +23,7 @@ VIEWER = ("gl.js", "stage.js", "surface.js", "math.js", "orbit.js", "scale.js", 
 
 def test_all_that_the_page_can_load_is_light(served: tuple[Desk, Server]) -> None:
     desk, server = served
-    files = {name: len(body) for name, (_, body) in page_files("nuno.studio").items() if name not in VIEWER}
+    files = {name: len(body) for name, (_, body) in page_files().items() if name not in VIEWER}
     listed = desk.act({"do": "scenes"})
     told = {"schema": len(server.resources["schema"]({})[1]), "scenes": len(json.dumps(listed))}
     drawn = [one["name"] for one in listed["scenes"] if one["drawn"]]

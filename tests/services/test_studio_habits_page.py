@@ -11,7 +11,7 @@ from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 from nuno.studio.desk import Desk
-from nuno.studio.pages.server import Server
+from nuno.studio.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

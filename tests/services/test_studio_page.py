@@ -14,10 +14,10 @@ from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 import nuno
 from nuno.api.plan import describe
 from nuno.plugin_contract import registry
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk, swatches
-from nuno.studio.pages.server import Server
+from nuno.studio.server import Server
 from nuno_schemas.dyeing import PRESETS
 from nuno_schemas.errors import BadInput
 

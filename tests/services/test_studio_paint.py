@@ -16,8 +16,7 @@ from PIL import Image
 from nuno.scene import shipped
 from nuno.studio import scenes
 from nuno.studio.desk import Desk
-from nuno.studio.dyed import Flat, at_start
-from nuno.studio.paint import simplified
+from nuno.studio.dye import Flat, at_start, simplified
 from nuno_schemas.errors import BadInput
 
 CELL, CELLS = 1e-4, (120, 80)

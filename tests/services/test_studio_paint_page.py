@@ -17,9 +17,9 @@ from studio_desk import NEEDS_BROWSER, look_at_scene, studio
 import nuno
 from nuno.scene import scene_file, shipped
 from nuno.studio import scenes
-from nuno.studio.dyed import at_start
-from nuno.studio.live_view.sources import see_scene
-from nuno.studio.pages.server import Server
+from nuno.studio.dye import at_start
+from nuno.studio.live_view import see_scene
+from nuno.studio.server import Server
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
 

@@ -19,8 +19,8 @@ from nuno.exports.cloth import body_vertices, read_bodies
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.studio.desk import Desk
-from nuno.studio.pages.guard import Refused
 from nuno.studio.screen import MOST_FILMS
+from nuno.studio.server import Refused
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FABRIC
 

@@ -17,7 +17,7 @@ from studio_desk import NEEDS_BROWSER, SHEET, look, studio, write_sheet
 
 import nuno
 from nuno.recording.reader import open_recording
-from nuno.studio.pages.server import Server
+from nuno.studio.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0

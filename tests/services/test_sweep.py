@@ -31,9 +31,8 @@ import nuno
 from nuno.cli import main
 from nuno_bench import stability
 from nuno_bench.sweep import grid
-from nuno_bench.sweep.executor import Cluster, Executor, LostTask, Processes
+from nuno_bench.sweep.executor import Cluster, Executor, LostTask, Processes, SweepFile, pack, unpacked
 from nuno_bench.sweep.grid import values_of
-from nuno_bench.sweep.storage import SweepFile, pack, unpacked
 from nuno_bench.validation import command as validate
 from nuno_schemas.errors import BadInput, RunFailed
 

@@ -19,7 +19,7 @@ import nuno
 from nuno.bus.health import Health, ask_health
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.cli import main
-from nuno.cli.top import compare, table
+from nuno.cli.active_runs import compare, table
 from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import STATE, Topic

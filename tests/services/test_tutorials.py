@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import ast
-import importlib
 import os
 import re
 import shlex
@@ -122,8 +120,7 @@ def test_all_code_is_told_apart_and_read(page: Path) -> None:
             _, parser = parser_of(words[1])
             args = parser.parse_args(words[2:])
             if words[1] == "bench":
-                parser = argparse.ArgumentParser(exit_on_error=False)
-                importlib.import_module(nuno_bench.cli.COMMANDS[args.kind][0]).add_arguments(parser)
+                _, parser = nuno_bench.cli.parser_of(args.kind)
                 parser.parse_args(args.arguments)
         else:
             assert words[0] in KNOWN, words

@@ -18,17 +18,16 @@ from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 import nuno
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno.cli import main
-from nuno.collision.surfaces import surface, vertex_normals
-from nuno.exports.cloth import ShownPiece
-from nuno.exports.paint import INSET, paint_yarns
+from nuno.collision.bodies import surface, vertex_normals
+from nuno.exports.cloth import INSET, ShownPiece, paint_yarns
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.yarns import SPAN, Tensions, structural_edges, tension_arrays
+from nuno.simulation import cloth as build
+from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
 from nuno.viewer.cloth import pack, read_image
 from nuno.viewer.file import PIPES, RerunFile
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
-from nuno.viewer.require import require
+from nuno.viewer.live import require
 from nuno.viewer.service import with_own_textures
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices

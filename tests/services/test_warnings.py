@@ -13,7 +13,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.recording.reader import Recording
-from nuno.report.show import lines
+from nuno.report.run_report import lines
 from nuno.scene import shipped
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import load, read

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nuno.scene import yaml_lines
-from nuno.studio.pages.worker import Workshop
+from nuno.studio.processes import Workshop
 from nuno_schemas.errors import BadInput
 
 REMEDY = "make less of it"

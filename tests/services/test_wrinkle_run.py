@@ -15,7 +15,7 @@ import nuno
 from nuno.cli import main
 from nuno.exports.cloth import Pieces
 from nuno.exports.tables import export_csv
-from nuno.recording.restore import control_events
+from nuno.recording.reader import control_events
 from nuno.replay.verification import verify
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options

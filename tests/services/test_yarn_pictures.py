@@ -11,14 +11,13 @@ from PIL import Image
 
 import nuno
 from nuno.cli import main
-from nuno.exports.cloth import read_frame, read_pieces, read_pressure
-from nuno.exports.paint import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns
+from nuno.exports.cloth import PLAIN, SIDES, YARNS, paint_stretch, paint_yarns, read_frame, read_pieces, read_pressure
 from nuno.exports.pictures import Painter
 from nuno.exports.yarns import export_yarn_picture, find_camera, read_worn, styled
 from nuno.recording.reader import Recording, open_recording
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.yarns import edge_yarns
+from nuno.simulation import cloth
+from nuno.simulation.yarns import edge_yarns
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -27,7 +26,7 @@ SCENE = "knit/stitch-10x10"
 
 
 def fabric() -> Fabric:
-    return build.build_fabric(scene_file.read(shipped.find(SCENE)))[0]
+    return cloth.build_fabric(scene_file.read(shipped.find(SCENE)))[0]
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +86,7 @@ def test_yarns_keep_their_links_beside_other_cloth(tmp_path: Path) -> None:
     lines = ["nuno: 1", "name: three", "duration: 1 s", "objects:"]
     path = tmp_path / "three.yaml"
     path.write_text("\n".join([*lines, *(f"  - {{name: {name}, model: {model}}}" for name, model in objects)]))
-    fabric, pieces = build.build_fabric(scene_file.read(path))
+    fabric, pieces = cloth.build_fabric(scene_file.read(path))
     assert fabric.yarns is not None and fabric.springs is not None
     assert fabric.yarns.names == ("nylon", "support", "elastane")
     neighbours, yarn = fabric.yarns.neighbours()

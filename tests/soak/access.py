@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import nuno
-from nuno.bus import certificates, credentials_folder
-from nuno.bus.credentials_folder import Rights, read_rights
+from nuno.bus import credentials
+from nuno.bus import credentials as certificates
+from nuno.bus.credentials import Rights, read_rights
 from nuno.bus.sessions import free_port, hub, spoke
 from nuno.runtime import supervisor
 from nuno_bench.report.page import Result
@@ -46,7 +47,7 @@ class Guarded:
 
     def __init__(self, where: Path) -> None:
         self.where, self.certs, port = where, where / "certs", free_port()
-        credentials_folder.make(self.certs, ("localhost",), credentials_folder.roles(), 1)
+        credentials.make(self.certs, ("localhost",), credentials.roles(), 1)
         self.endpoint, self.processes = f"tls/localhost:{port}", Processes(where)
         self.run, self.seen, self.forged, self.changed = self.processes.run, 0, 0, threading.Condition()
         listens = ("--listen", f"tls/127.0.0.1:{port}", "--config", self.config("router"))
@@ -185,7 +186,7 @@ def allowed(topics: tuple[str, ...], name: str) -> bool:
 def outsiders(guarded: Guarded) -> dict[str, tuple[str, str | None]]:
     """Endpoint and configuration of those who must not get in at all, by what they come with."""
     where = guarded.where
-    credentials_folder.make(where / "other", ("localhost",), ["operator"], 1)
+    credentials.make(where / "other", ("localhost",), ["operator"], 1)
     own = json.loads(Path(guarded.config("operator")).read_bytes())
     foreign = json.loads((where / "other" / "operator.json5").read_bytes())
     tls = own["transport"]["link"]["tls"]
@@ -195,7 +196,7 @@ def outsiders(guarded: Guarded) -> dict[str, tuple[str, str | None]]:
     foreign["transport"]["link"]["tls"] |= kept
     key = (guarded.certs / "authority.key").read_bytes()
     authority = certificates.load((guarded.certs / "authority.pem").read_bytes(), key)
-    old = credentials_folder.configuration("operator", certificates.sign(authority, "operator", -1), authority)
+    old = credentials.configuration("operator", certificates.sign(authority, "operator", -1), authority)
     shown = {
         "no certificate": json.dumps(own).encode(),
         "another authority's certificate": json.dumps(foreign).encode(),

@@ -19,8 +19,7 @@ import psutil
 from nuno.bus.health import Watch
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at, identity
-from nuno.recording.gaps import count_gaps
-from nuno.recording.reader import Recording, open_recording
+from nuno.recording.reader import Recording, count_gaps, open_recording
 from nuno.recording.recorded import Recorded
 from nuno.runtime.service import SUPERVISOR
 from nuno_bench.report.page import Result

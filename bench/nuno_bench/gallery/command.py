@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from nuno.api.runtime_estimate import RuntimeEstimate, run_seconds
+from nuno.api.plan import RuntimeEstimate, run_seconds
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
 from nuno.scene import scene_file
-from nuno.scene.templates.garments import Garment, describe_worn, name_garments
+from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
 from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Gallery, ShownScene, compare, embed
@@ -29,7 +29,7 @@ ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 NEEDED = "--patterns, --body"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def gallery_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
                         "figures of the dye paper; knit, all knits; sewn, garments from patterns; "
                         "wrinkle, lines drawn on cloth")  # fmt: skip
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pattern_arguments(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def gallery_command(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or does not show what it must."""
     check_patterns(args)
     kind, section = KINDS[args.kind], f"gallery {args.kind}"

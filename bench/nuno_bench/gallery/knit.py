@@ -15,7 +15,7 @@ from nuno.exports.pictures import Colour, export_picture
 from nuno.exports.yarns import export_yarn_picture
 from nuno.recording.reader import Recording
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth.yarns import named_heights
+from nuno.simulation.yarns import named_heights
 from nuno_bench.gallery.kind import Difference, Gallery, find_scenes, read_picture, show_scene
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.pictures import Picture

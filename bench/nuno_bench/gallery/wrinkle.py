@@ -15,8 +15,8 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
-from nuno.studio.draw.lines import distance_to
+from nuno.simulation import cloth
+from nuno.studio.draw import distance_to
 from nuno_bench.gallery.kind import Difference, Gallery, read_picture, show_scene
 from nuno_schemas.fabric import Bool, Float, Int, State
 from nuno_schemas.pictures import Picture
@@ -46,7 +46,13 @@ def scenes() -> dict[str, Path]:
 
 def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
     """Draw the stages of a recording, and measure its lines."""
-    frames = _stages(recording, _operations(loaded), loaded.scene.frame_rate)
+    last = read_frame(recording)
+    first = round(min((one["at"] for one in _operations(loaded)), default=0.0) * loaded.scene.frame_rate)
+    before = read_frame(recording, first)
+    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
+    drawn = first + len(found)
+    half = (drawn + last.number) // 2
+    frames = found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
     pictures = [
         (f"{label}, {frame.t:.3g} s",
          read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
@@ -60,22 +66,11 @@ def _operations(loaded: Loaded) -> list[dict[str, Any]]:
     return [{"at": float(one.at), **one.config} for one in loaded.scene.operations if one.plugin == "wrinkle"]
 
 
-def _stages(recording: Recording, operations: list[dict[str, Any]], rate: float) -> dict[str, Frame]:
-    """Frames by stage: the last before any line, where there is one, the next, one half way, and the last."""
-    last = read_frame(recording)
-    first = round(min((one["at"] for one in operations), default=0.0) * rate)
-    before = read_frame(recording, first)
-    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
-    drawn = first + len(found)
-    half = (drawn + last.number) // 2
-    return found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
-
-
 def _raise(loaded: Loaded, before: Frame) -> Float:
     """(n, 3) [m] where the scene's lines raise the cloth, before any step: a frame later it has sunk already."""
     bodies = build_bodies(loaded) if loaded.scene.bodies else None
     poses = bodies.poses(0.0) if bodies else None
-    fabric, _ = build.build_fabric(loaded, bodies.geometry if bodies else None, poses)
+    fabric, _ = cloth.build_fabric(loaded, bodies.geometry if bodies else None, poses)
     state = State(before.x.astype(np.float64), np.zeros(before.x.shape), before.t)
     for operation in loaded.operations:
         changed = operation.plugin.apply(operation.config, fabric, state, None).changed

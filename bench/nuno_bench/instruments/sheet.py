@@ -313,7 +313,7 @@ HEADS = ("test", "standard", "found", "unit", "expected", "off", "least to great
 SIZE = (640, 400)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def test_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("fabric", metavar="FABRIC", help="a preset (nuno fabrics), a YAML file with a `fabric`, as "
                         "nuno fabric import writes one, with what was `measured` of its drape; or a fabric as a scene "
                         "has it")  # fmt: skip
@@ -324,7 +324,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_executor_arguments(parser)
 
 
-def main(args: argparse.Namespace) -> int:
+def test_command(args: argparse.Namespace) -> int:
     name, fabric, measured = find_fabric(args.fabric)
     wanted = options.names_of(args.only) or list(TESTS)
     options.require_known(wanted, TESTS, "test", "--only")

@@ -14,7 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from nuno.scene import scene_file, shipped
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno_bench.piles import G
 from nuno_bench.problem import Problem, make_problem
 from nuno_cloth.fabrics import shadow as shadows
@@ -54,7 +54,7 @@ class Rig:
     def load(self, gravity: float) -> None:
         """Weigh it under so much gravity [m/s^2], from its start."""
         self.system = replace(self.system, gravity=np.array([0.0, -gravity, 0.0]))
-        self.state = build.start_state(self.fabric)
+        self.state = cloth.start_state(self.fabric)
         self.memory = self.plugin.prepare(self.problem.loaded.integrator.config, self.system, self.state)
 
     def rest(self, still: float, frames: int = FRAMES) -> Float:
@@ -114,7 +114,7 @@ def mount(scene: str, fabric: object, solver: str | None = None, **model: object
     overrides += ["until=duration"] if solver is None else ["until=duration", f"solver={{plugin: {solver}}}"]
     loaded = scene_file.read(shipped.find(f"instruments/{scene}"), overrides)
     problem = make_problem(loaded, threads=1)
-    rig = Rig(problem, problem.system, build.start_state(problem.fabric), Memory())
+    rig = Rig(problem, problem.system, cloth.start_state(problem.fabric), Memory())
     rig.load(G)
     return rig
 

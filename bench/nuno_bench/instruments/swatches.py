@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import nuno
-from nuno.cli import presets
+from nuno.cli import textiles
 from nuno.exports.cloth import Pieces
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
@@ -38,16 +38,16 @@ class Swatch(NamedTuple):
     nodes: int
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    presets.add_arguments(parser)
+def fabrics_arguments(parser: argparse.ArgumentParser) -> None:
+    textiles.presets_arguments(parser)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page: a swatch of each, its measures, and "
                         "where they come from")  # fmt: skip
 
 
-def main(args: argparse.Namespace) -> int:
+def fabrics_command(args: argparse.Namespace) -> int:
     if args.page is None:
-        return presets.main(args)
-    others, chosen, swatches = machine.OtherLoad(), presets.choose(args.command, args.names), list[Swatch]()
+        return textiles.presets_command(args)
+    others, chosen, swatches = machine.OtherLoad(), textiles.choose(args.command, args.names), list[Swatch]()
     for i, preset in enumerate(chosen):
         print(f"{preset.name}, {i + 1} of {len(chosen)}", file=sys.stderr, flush=True)
         swatches.append(hang(preset))
@@ -78,15 +78,15 @@ def sections(swatches: list[Swatch]) -> page.Sections:
     ]
     named = [f"{each.name} [{each.unit or '1'}]" for each in swatches[0].preset.measures]
     rows = [
-        [one.preset.name, *(presets.digits(each.given) for each in one.preset.measures),
+        [one.preset.name, *(textiles.digits(each.given) for each in one.preset.measures),
          f"{100.0 * one.coefficient:.0f}", str(one.nodes)]
         for one in swatches
     ]  # fmt: skip
     measured = page.Table(("fabric", *named, "drape coefficient [%]", "nodes"), rows, MEASURES)
-    heads, origins = ("fabric", "source", *presets.KINDS), list[list[str]]()
+    heads, origins = ("fabric", "source", *textiles.KINDS), list[list[str]]()
     for one in swatches:
-        lines = [line.partition(": ") for line in presets.origins(one.preset.how)]
-        by_kind = ("; ".join(text for kind, _, text in lines if kind == each) for each in presets.KINDS)
+        lines = [line.partition(": ") for line in textiles.origins(one.preset.how)]
+        by_kind = ("; ".join(text for kind, _, text in lines if kind == each) for each in textiles.KINDS)
         origins.append([one.preset.name, one.preset.source, *by_kind])
     return [
         ("", [page.Pictures(images)]),

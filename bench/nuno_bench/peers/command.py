@@ -41,7 +41,7 @@ class Scene:
     measure: Callable[[list[Engine], list[str], argparse.Namespace], Comparison[Any]]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def peers_arguments(parser: argparse.ArgumentParser) -> None:
     scenes = "; ".join(f"{name}: {scene.says}" for name, scene in SCENES.items())
     parser.add_argument(
         "scene", nargs="?", choices=list(SCENES), default="sheet", help=f"{scenes} (default: %(default)s)"
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--out", "--html", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def peers_command(args: argparse.Namespace) -> int:
     """Run every setting, print the tables, write page and JSON. A peer that breaks is a finding."""
     scene = SCENES[args.scene]
     if args.scene != "skirt" and args.duration != DURATION:

@@ -13,8 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.machine import cores

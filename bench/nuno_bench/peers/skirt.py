@@ -10,13 +10,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nuno.collision.crossings import find_crossings
+from nuno.collision.bodies import surface
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import penetration
-from nuno.collision.pairs import mesh_of
-from nuno.collision.surfaces import surface
 from nuno.exports.camera import place_camera, z_up
-from nuno.exports.cloth import ShownPiece
-from nuno.exports.paint import BODY, INSET, STRETCH, paint_stretch
+from nuno.exports.cloth import BODY, INSET, STRETCH, ShownPiece, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import mesh_of
 from nuno_bench.peers.newton import Cloth, colour
 from nuno_bench.peers.problem import RATE
 from nuno_bench.peers.skirt import Skirt

@@ -22,8 +22,7 @@ import numpy as np
 from nuno.dye.run import DyeRun
 from nuno.scene import scene_file, shipped
 from nuno.simulation.solver_selection.cloth import decide
-from nuno.simulation.solver_selection.selection import PROMISE
-from nuno.simulation.solver_selection.trials import GROWTH
+from nuno.simulation.solver_selection.trials import GROWTH, PROMISE
 from nuno_bench import machine, options
 from nuno_bench.piles import random_scene
 from nuno_bench.precision.sweep import measure_errors
@@ -81,7 +80,7 @@ class DeliveredAccuracy:
                 f"{self.until:.3g}", f"{self.seconds:.3g}", self.verdict]  # fmt: skip
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def accuracy_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenes", nargs="*", metavar="SCENE", help="default: ten shipped scenes, and random ones")
     named = "of this solver the step alone is chosen (default: auto, whatever a scene names: the solver, too)"
     parser.add_argument("--solver", default="auto", metavar="NAME", help=named)
@@ -92,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "--out", "--docs")
 
 
-def main(args: argparse.Namespace) -> int:
+def accuracy_command(args: argparse.Namespace) -> int:
     """The table of all scenes and levels; 1 where an error is more than may be delivered."""
     levels = options.names_of(args.levels)
     options.require_known(levels, PROMISE, "level", "--levels")

@@ -20,17 +20,19 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_bench import machine, options
-from nuno_bench.precision.settings import OwnSettings, add_own, choose_solvers
 from nuno_bench.precision.sweep import (
     ABOVE,
     CHOICE_HEADINGS,
     FLOOR_HEADINGS,
     Error,
+    OwnSettings,
     Runner,
     SolverPoint,
     Sweep,
+    add_own,
     by_solver,
     choice_rows,
+    choose_solvers,
     fit_order,
     judge,
     measure_errors,
@@ -42,8 +44,7 @@ from nuno_bench.reference import DISTURBANCE, LOST, Horizon, refer
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number, spread_of
 from nuno_bench.report.plots import INK, Curve, Panel, draw, marker_of
-from nuno_bench.sweep.executor import versions
-from nuno_bench.sweep.storage import SweepFile, require_kept
+from nuno_bench.sweep.executor import SweepFile, require_kept, versions
 from nuno_schemas.errors import BadInput
 
 # What `nuno bench precision` shows: one set of tables and panels for page, screen, documentation and rerun file.
@@ -333,7 +334,7 @@ def report(found: Findings) -> Report:
     return Report(f"Error over wall time: {found.scene}", lead, sections, found.about, data, brief, rows)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def precision_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_shared(parser, "scenes", "--set", "--solvers", "--resume", "--out", "--rrd", "--docs")
     options.add_count(parser, "--repeats", "timed runs of each point (default: %(default)s)", 3)
     budget = "for a scene's sweep; finer points that would exceed it are left out"
@@ -343,7 +344,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--observable", metavar="A,B", help=f"what is plotted beside positions (default: all): {known}")
 
 
-def main(args: argparse.Namespace) -> int:
+def precision_command(args: argparse.Namespace) -> int:
     """Sweep each scene; 1 where a reference could judge nothing. A solver that diverges is a result."""
     failed, panels = False, dict[str, list[plots.Panel]]()
     for one in _check(args):

@@ -54,13 +54,13 @@ class PointChange:
         return [*self.key, ", ".join(self.changed), self.quantity, *errors, ratios[0], *times, ratios[1]]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", type=Path, metavar="A.json", help="written by nuno bench precision")
     parser.add_argument("second", type=Path, metavar="B.json", help="another of the same scene")
     options.add_shared(parser, "--html")
 
 
-def main(args: argparse.Namespace) -> int:
+def compare_command(args: argparse.Namespace) -> int:
     """Print what changed; a change is a finding, not a failure."""
     first, second = read(args.first), read(args.second)
     if first.scene != second.scene:

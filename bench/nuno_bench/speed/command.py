@@ -193,7 +193,7 @@ CASES = {
     "render": "leg:render",
     "dye": "steps:dye",
     "pipeline": "processes:pipeline",
-    "live": "live:live",
+    "live": "processes:live",
     "studio": "studio:studio",
     "start": "processes:start",
     "memory": "processes:memory",
@@ -210,7 +210,7 @@ OF_LIMIT = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def speed_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"which to run (default: all): {', '.join(CASES)}")
     options.add_count(parser, "--repeats", "samples of each figure (default: %(default)s)", 7)
     options.add_shared(parser, "--json", "--html", "--docs")
@@ -219,7 +219,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(name, nargs="?", type=Path, const=True, metavar="FILE", help=what)
 
 
-def main(args: argparse.Namespace) -> int:
+def speed_command(args: argparse.Namespace) -> int:
     """Run the cases; 1 if any could not be measured or has become slower. A missed bar is a finding, not a failure."""
     options.require_known(args.cases, CASES, "case", "CASE")
     section = " ".join(["speed", *args.cases])

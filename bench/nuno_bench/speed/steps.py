@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
-from nuno.simulation.cloth.build import Piece
-from nuno.simulation.cloth.numbering import find_numbers, renumber
-from nuno.simulation.cloth.yarns import structural_edges
-from nuno.simulation.renumbered_solver import RenumberedSolver
+from nuno.simulation.cloth import Piece
+from nuno.simulation.renumbering import RenumberedSolver, find_numbers, renumber
 from nuno.simulation.run import Simulation
+from nuno.simulation.yarns import structural_edges
 from nuno_bench.machine import cores
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import base64
 import html
 import io
 import itertools
 import math
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,38 +20,41 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from nuno.api.result import Result, table_of
-from nuno.api.run import run_loaded
-from nuno.api.scene import Scene, as_texts, loaded
-from nuno.api.words import in_python
+from nuno.api.run import Result, run_loaded, table_of
+from nuno.api.scene import Scene, as_texts, in_python, loaded
+from nuno.cli.common import add_scene, find_own, load_scene
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
+from nuno.scene import shipped, yaml_lines
 from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.validation_errors import GIVEN
-from nuno_bench import machine
+from nuno_bench import machine, options
 from nuno_bench.report import page
 from nuno_bench.report.page import number
-from nuno_bench.sweep.executor import Executor, LostTask, choose_executor, versions
-from nuno_bench.sweep.storage import PackedScene, SweepFile, pack_loaded, unpacked
+from nuno_bench.sweep.executor import (
+    Executor,
+    LostTask,
+    PackedScene,
+    SweepFile,
+    add_executor_arguments,
+    choose_executor,
+    open_executor,
+    pack_loaded,
+    require_kept,
+    unpacked,
+    versions,
+)
 from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-import argparse
-import sys
 
-from nuno.cli.common import add_scene, find_own, load_scene
-from nuno.scene import shipped, yaml_lines
-from nuno_bench import options
-from nuno_bench.sweep import grid
-from nuno_bench.sweep.executor import add_executor_arguments, open_executor
-from nuno_bench.sweep.storage import require_kept
 
 # `nuno sweep`: a scene run for each combination of values of its fields.
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--over", action="append", default=[], metavar="KEY=A,B,...",
@@ -63,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(default: recordings/sweep/SCENE)")  # fmt: skip
 
 
-def main(args: argparse.Namespace) -> int:
+def sweep_command(args: argparse.Namespace) -> int:
     """Run all combinations and print the table; return 1 if any of them was not finished."""
     over = dict[str, list[Any]]()
     for key, values in map(values_of, args.over):
@@ -79,17 +84,17 @@ def main(args: argparse.Namespace) -> int:
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:
-        require_kept([folder / grid.KEPT])
+        require_kept([folder / KEPT])
     with open_executor(args) as where:
-        place = grid.Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
+        place = Place(where, folder, args.resume, lambda text: print(text, file=sys.stderr, flush=True))
         try:
-            made = grid.run_all(loaded, over, place, args.side.replace("none", ""))
+            made = run_all(loaded, over, place, args.side.replace("none", ""))
         except KeyboardInterrupt:
             print("to go on with it, give the same command with --resume", file=sys.stderr)
             raise
     made.keep()
     print(made.table().text())
-    return int(any(row[grid.STATE] not in ("done", "stopped") for row in made.rows))
+    return int(any(row[STATE] not in ("done", "stopped") for row in made.rows))
 
 
 def values_of(item: str) -> tuple[str, list[Any]]:

@@ -23,13 +23,15 @@ from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import Curve, Panel, draw
 from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
-from nuno_bench.validation import contacts, dye, nets, oscillator, statics
+from nuno_bench.validation import contacts, dye, oscillator, statics
 from nuno_bench.validation.law import BrokenRun, Case, Outcome, Unsupported
 from nuno_schemas.errors import BadInput, nearest
 
 # Every law against every installed solver, and what came out.
 
-CASES: tuple[Case, ...] = tuple(case for module in (oscillator, nets, statics, contacts, dye) for case in module.laws)
+CASES: tuple[Case, ...] = tuple(
+    case for laws in (oscillator.laws, statics.net_laws, statics.laws, contacts.laws, dye.laws) for case in laws
+)
 GROUPS = {"nuno.integrators": "cloth", "nuno.dye_solvers": "dye"}
 """Subject of the solvers of each group."""
 SLIPS = {"rk4_printed": "kept with the paper's slips: gravity counted twice, damping frozen at the step's start"}
@@ -159,14 +161,14 @@ LEAD = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def validate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="cases by name or its beginning (default: all)")
     options.add_shared(parser, "--solvers", "--json", "--html", "--docs")
     add_executor_arguments(parser)
     parser.add_argument("--list", action="store_true", help="name the cases and their laws, and run nothing")
 
 
-def main(args: argparse.Namespace) -> int:
+def validate_command(args: argparse.Namespace) -> int:
     """Run the cases, print the table; the exit code is 1 where a solver failed one."""
     parts = choose_parts(args.cases, options.names_of(args.solvers))
     if args.list:
@@ -174,18 +176,6 @@ def main(args: argparse.Namespace) -> int:
         width = max(len(case.name) for case in cases)
         print("\n".join(f"{case.name:{width}}  {case.law} ({case.source})" for case in cases))
         return 0
-    _check_files(args)
-    others = machine.OtherLoad()
-    with open_executor(args) as where:
-        outcomes = check_all(parts, where, lambda text: print(text, file=sys.stderr))
-    print("\n\n".join(case_tables(part, outcomes) for part in parts))
-    print("\n".join(["", *map(describe_bad, bad_table(outcomes).rows), summary(parts, outcomes)]))
-    report(parts, outcomes, machine.about(others)).write(args.html, args.json, args.docs, "validate")
-    return int(any(outcome.verdict == "failed" for outcome in outcomes))
-
-
-def _check_files(args: argparse.Namespace) -> None:
-    """Raises BadInput, before anything runs, for what could not be written afterwards."""
     if args.html is not None:
         plots.require_matplotlib()
     for flag in ("json", "html"):
@@ -193,6 +183,13 @@ def _check_files(args: argparse.Namespace) -> None:
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput("no such folder", field=f"--{flag}", value=str(path.parent), remedy="make it first")
     page.check_section(args.docs, "validate")
+    others = machine.OtherLoad()
+    with open_executor(args) as where:
+        outcomes = check_all(parts, where, lambda text: print(text, file=sys.stderr))
+    print("\n\n".join(case_tables(part, outcomes) for part in parts))
+    print("\n".join(["", *map(describe_bad, bad_table(outcomes).rows), summary(parts, outcomes)]))
+    report(parts, outcomes, machine.about(others)).write(args.html, args.json, args.docs, "validate")
+    return int(any(outcome.verdict == "failed" for outcome in outcomes))
 
 
 def case_tables(part: Suite, outcomes: Sequence[Outcome]) -> str:

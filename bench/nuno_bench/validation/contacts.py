@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.crossings import find_crossings
-from nuno.collision.pairs import mesh_of
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.plugin_contract import registry
 from nuno_bench import piles
 from nuno_bench.piles import G

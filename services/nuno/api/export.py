@@ -47,7 +47,8 @@ FILES = {
 }
 """Kinds of files, by their flags."""
 WRITERS = {
-    **{name: f"nuno.exports.tables:export_{name}" for name in ("npz", "forces", "csv", "scene")},
+    **{name: f"nuno.replay.frame_state:export_{name}" for name in ("npz", "forces")},
+    **{name: f"nuno.exports.tables:export_{name}" for name in ("csv", "scene")},
     "yarns": "nuno.api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
     **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
     "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
@@ -160,7 +161,7 @@ def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> l
 
 def export_curves(recording: Recording, path: Path, asked: ExportRequest) -> Path:
     """Write a knit's yarns as curves, and print facts about them. Raises BadInput."""
-    from nuno.exports.curves import export_yarns
+    from nuno.exports.yarns import export_yarns
 
     form: Form = asked.form or "smooth"
     settings: dict[str, Any] = {name: getattr(asked, name) for name in YARNS if getattr(asked, name) is not None}
@@ -186,7 +187,7 @@ def tell_yarns(form: str, facts: Mapping[str, float]) -> str:
 def _check(recording: Recording, asked: ExportRequest) -> None:
     """Raise BadInput for settings that do not fit together, or do not fit the recording."""
     from nuno.exports.animations import check_animation
-    from nuno.viewer.require import require
+    from nuno.viewer.live import require
 
     _check_files(asked)
     for path in filter(None, (asked.gif, asked.mp4)):

@@ -1,26 +1,28 @@
-"""The plan of a run: services, features left out and why, stable step, estimated cost."""
+"""The plan of a run: services, features left out and why, stable step, and its estimated time."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from nuno.api.scene import Scene, as_texts, loaded
-from nuno.api.words import in_python
-from nuno.report.show import describe_start
-from nuno.runtime.plan import make_plan
+from nuno.api.scene import Scene, as_texts, in_python, loaded
+from nuno.replay.verification import steppers
+from nuno.report.run_report import describe_start
+from nuno.runtime.launch import make_plan
 from nuno.runtime.service import Options
+from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.start_checks import start_warnings
-from nuno.simulation.cloth.texture import texture_size
+from nuno.simulation import cloth
+from nuno.simulation.cloth import texture_size
 from nuno.simulation.run import Simulation
-from nuno.simulation.solver_selection.budget import Budget
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
+from nuno.simulation.start_checks import start_warnings
 from nuno_schemas.bodies import Geometry, Poses
 
 Row = tuple[str, str]
@@ -62,11 +64,11 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
     if loaded.scene.moves:
         rows += _cloth(loaded)
     if loaded.scene.view.pictures is not None:
-        from nuno.render.artist import Artist
+        from nuno.exports.yarns import Artist
 
         Artist(loaded)  # refuses bad pictures, as with an eye inside a body
     if loaded.dye is not None:
-        from nuno.dye.describe import describe_dye
+        from nuno.dye.run import describe_dye
 
         rows += describe_dye(loaded)
     yield from rows
@@ -88,7 +90,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [("chosen", loaded.why)] if loaded.why else []
     kept = sum(array.nbytes for array in simulation.whole()[0].values())
     size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
-    return rows + simulation.describe_cost(seconds, size, build.estimate_memory(loaded)[1])
+    return rows + simulation.describe_cost(seconds, size, cloth.estimate_memory(loaded)[1])
 
 
 def _texture(simulation: Simulation) -> list[tuple[str, str]]:
@@ -109,7 +111,7 @@ def _texture(simulation: Simulation) -> list[tuple[str, str]]:
 def _contacts(loaded: Loaded) -> list[tuple[str, str]]:
     """Return which objects collide, and by which contact."""
     bodies = [body.name for body in loaded.scene.bodies]
-    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in build.group_contacts(loaded)]
+    met = [f"{one.name} with {', '.join(bodies[i] for i in own)}" for one, own in cloth.group_contacts(loaded)]
     if loaded.cloth_contact is not None:
         bodies_met = [bodies[i] for i in loaded.scene.met_bodies]
         met.append(f"{loaded.cloth_contact.name} of cloth with {', '.join(['cloth', *bodies_met])}")
@@ -138,10 +140,65 @@ def _attachments(simulation: Simulation, geometry: Geometry, poses: Poses) -> li
     """Return the start positions of the frames that cloth is attached to."""
     rows = []
     for binding in simulation.fabric.bindings:
-        if (skinned := build.skin_of(binding, geometry)) is not None:
+        if (skinned := cloth.skin_of(binding, geometry)) is not None:
             rows.append(("attached", f"to the skin of {binding.body}, each vertex to its place on it"))
             continue
-        frame = build.frame_of(binding, geometry.frames, skinned)
+        frame = cloth.frame_of(binding, geometry.frames, skinned)
         place = ", ".join(f"{v:.3g}" for v in poses.translation[frame])
         rows.append(("attached", f"to {geometry.frames[frame]}, which starts at [{place}] m"))
     return list(dict.fromkeys(rows))
+
+
+# Estimate of a run's time: from frames that are stepped for it, then from the parts that are done.
+
+
+@dataclass
+class RuntimeEstimate:
+    """Estimate of the remaining time of several pieces of work.
+
+    expected  wall time of each by a prior estimate [s], by name; once one is done, only their ratios matter, since the
+              others are assumed to be slower or faster by the same factor
+    """
+
+    expected: dict[str, float]
+    taken: dict[str, float] = field(default_factory=dict)
+    """Wall time of finished pieces [s]."""
+
+    @property
+    def left(self) -> float:
+        """Remaining wall time [s]."""
+        done = sum(self.expected[name] for name in self.taken)
+        ratio = sum(self.taken.values()) / done if done > 0.0 else 1.0
+        return ratio * sum(seconds for name, seconds in self.expected.items() if name not in self.taken)
+
+
+def run_seconds(loaded: Loaded) -> float:
+    """Estimate the wall time of a scene's steps [s] from a frame. Raises BadInput for a scene that cannot start."""
+    loaded = decide(loaded)
+    return loaded.scene.frames * frame_seconds(loaded)
+
+
+def frame_seconds(loaded: Loaded) -> float:
+    """Return the wall time of a frame's steps [s], of a scene without open choices."""
+    return sum(make().time_frame() for make in steppers(loaded).values())
+
+
+def keep_up(loaded: Loaded, budget: Budget | None = None) -> Loaded:
+    """Decide a scene for a run whose frames wait for the clock: with an open accuracy, and frames that are slower than
+    real time, it is `preview`, if that is faster. Raises BadInput as `decide`.
+    """
+    budget = budget or Budget()
+    decided = decide(loaded, budget)
+    if not loaded.scene.step_undecided or loaded.scene.accuracy is not None:
+        return decided
+    lasts, takes = 1.0 / loaded.scene.frame_rate, frame_seconds(decided)
+    if takes <= lasts:
+        return decided
+    open_ = scene_file.load(loaded.data | {"accuracy": "preview"}, loaded.lines, loaded.file, loaded.files)
+    coarser = decide(replace(open_, path=loaded.path, overrides=(*loaded.overrides, "accuracy=preview")), budget)
+    if not (less := frame_seconds(coarser)) < takes:
+        return decided
+    clock = (
+        f"for the clock, at normal a frame of {1e3 * lasts:.3g} ms takes {1e3 * takes:.3g} ms, here {1e3 * less:.3g}"
+    )
+    return replace(coarser, why=f"{coarser.why}; {clock}")

@@ -9,11 +9,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, overload
 
-from nuno.api.scene import as_texts
-from nuno.api.words import in_python
+from nuno.api.scene import as_texts, in_python
 from nuno.recording import reader
-from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import Recording, open_recording
+from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 

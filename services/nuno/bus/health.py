@@ -11,8 +11,7 @@ import psutil
 import zenoh
 from pydantic import BaseModel, ValidationError
 
-from nuno.bus.messages import Bus
-from nuno.bus.query import Query
+from nuno.bus.messages import Bus, Query
 from nuno.bus.sessions import direct
 from nuno_schemas.errors import RunFailed
 
@@ -148,10 +147,10 @@ def offer_health(bus: Bus) -> None:
     bus.offers.append(bus.session.declare_queryable(key, answer))
 
 
-def ask_health(bus: Bus, services: set[str], timeout: float = 2.0) -> dict[str, Health]:
-    """Return the health of each service that answers within `timeout` [s]."""
+def ask_health(bus: Bus, services: set[str]) -> dict[str, Health]:
+    """Return the health of each service that answers within 2 s."""
     # One query for each service: access control lets a service answer only for itself.
-    replies = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=timeout) for name in sorted(services)}
+    replies = {name: bus.ask_ahead(f"{HEALTH}/{name}", timeout=2.0) for name in sorted(services)}
     health = {}
     for name, reply in replies.items():
         try:

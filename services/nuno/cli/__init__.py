@@ -18,16 +18,19 @@ from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 COMMANDS = {
     "run": ("nuno.cli.run", "simulate a scene, record it, show it, report on it"),
-    "new": ("nuno.cli.new", "a commented scene to start from: skirt, poncho, trousers, dye and more"),
-    "plan": ("nuno.cli.plan", "what a scene will run, what is left out, cost and stable step"),
-    "replay": ("nuno.cli.replay", "publish a recording again, and show it"),
-    "verify": ("nuno.cli.verify", "simulate a recording again and compare every frame to the last bit"),
-    "info": ("nuno.cli.info", "what a recording holds"),
-    "export": ("nuno.cli.export", "meshes, arrays, tables, pictures and animations of a recording"),
-    "control": ("nuno.cli.control", "pause, resume, step, stop, change or add to a run that goes on"),
-    "top": ("nuno.cli.top", "what the services of a run that goes on are doing: rates, who is behind, what was lost"),
-    "topics": ("nuno.cli.topics", "what a run that goes on publishes on its bus: topics, types, sizes, rates"),
-    "draw": ("nuno.cli.draw", "a page for drawing ridges and valleys on a cloth by hand"),
+    "new": ("nuno.cli.run", "a commented scene to start from: skirt, poncho, trousers, dye and more"),
+    "plan": ("nuno.cli.run", "what a scene will run, what is left out, cost and stable step"),
+    "replay": ("nuno.cli.recordings", "publish a recording again, and show it"),
+    "verify": ("nuno.cli.recordings", "simulate a recording again and compare every frame to the last bit"),
+    "info": ("nuno.cli.recordings", "what a recording holds"),
+    "export": ("nuno.cli.recordings", "meshes, arrays, tables, pictures and animations of a recording"),
+    "control": ("nuno.cli.active_runs", "pause, resume, step, stop, change or add to a run that goes on"),
+    "top": (
+        "nuno.cli.active_runs",
+        "what services of a run that goes on are doing: rates, who is behind, what was lost",
+    ),
+    "topics": ("nuno.cli.active_runs", "what a run that goes on publishes on its bus: topics, types, sizes, rates"),
+    "draw": ("nuno.cli.studio", "a page for drawing ridges and valleys on a cloth by hand"),
     "studio": ("nuno.cli.studio", "a page for scenes, runs and recordings, in the browser"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
     "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),
@@ -41,20 +44,23 @@ COMMANDS = {
         "nuno_bench.gallery.command",
         "one page with pictures of all scenes of a kind: contact, dye, knit, sewn, wrinkle",
     ),
-    "plugins": ("nuno.cli.lists", "which plugins are installed"),
-    "scenes": ("nuno.cli.lists", "the scenes that come with nuno"),
+    "plugins": ("nuno.cli.installation", "which plugins are installed"),
+    "scenes": ("nuno.cli.installation", "the scenes that come with nuno"),
     "fabrics": ("nuno_bench.instruments.swatches", "the fabrics that scenes can name, in measured units, with sources"),
-    "fabric": ("nuno.cli.fabric", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
+    "fabric": ("nuno.cli.textiles", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
     "sew": ("nuno.cli.sew", "a garment from its sewing pattern, put on a body; or what is wrong with the pattern"),
     "fit": ("nuno.cli.fit", "how a garment fits the body that wears it: girths, ease, strain, pressure"),
     "test": ("nuno_bench.instruments.sheet", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
-    "yarns": ("nuno.cli.presets", "the yarns that knits can name, with sources"),
-    "dyes": ("nuno.cli.presets", "the dyes that scenes can name, with sources"),
-    "weave": ("nuno.cli.weave", "a weaver's draft, a WIF file: what it holds, drawn in its colours and at its scale"),
-    "schema": ("nuno.cli.lists", "JSON Schema of scenes, for editors"),
-    "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
+    "yarns": ("nuno.cli.textiles", "the yarns that knits can name, with sources"),
+    "dyes": ("nuno.cli.textiles", "the dyes that scenes can name, with sources"),
+    "weave": (
+        "nuno.cli.textiles",
+        "a weaver's draft, a WIF file: what it holds, drawn in colours and at its scale",
+    ),
+    "schema": ("nuno.cli.installation", "JSON Schema of scenes, for editors"),
+    "doctor": ("nuno.cli.installation", "whether this machine has what nuno can use"),
 }
-"""Module and summary of each command; a module has `add_arguments(parser)` and `main(args)`.
+"""Module and summary of each command; a module has `NAME_arguments(parser)` and `NAME_command(args)` for it.
 It is imported only when its command is given, so that `nuno run` does not pay for the rest."""
 
 
@@ -132,7 +138,7 @@ def _dispatch(arguments: list[str]) -> int:
             problem = "a name is not UTF-8, which recordings and messages are written in"
             raise BadInput(problem, value=text, remedy="rename the file or folder") from None
     module, parser = parser_of(arguments[0])
-    return int(module.main(parser.parse_args(arguments[1:])))
+    return int(getattr(module, f"{arguments[0]}_command")(parser.parse_args(arguments[1:])))
 
 
 def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
@@ -147,7 +153,7 @@ def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=name)
-    module.add_arguments(parser)
+    getattr(module, f"{name}_arguments")(parser)
     return module, parser
 
 

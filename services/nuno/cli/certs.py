@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nuno.bus import credentials_folder
-from nuno.bus.credentials_folder import Kept
+from nuno.bus import credentials
+from nuno.bus.credentials import Kept
 
 HOSTS = "localhost,127.0.0.1"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def certs_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="DIR", help="where they lie, readable by you only")
     parser.add_argument(
         "--hosts",
@@ -20,18 +20,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="names and addresses by which hosts reach the router (default: %(default)s)",
     )
     parser.add_argument(
-        "--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(credentials_folder.roles())}"
+        "--roles", metavar="A,B", help=f"which to make (default: all): {', '.join(credentials.roles())}"
     )
     parser.add_argument("--days", type=int, default=365, metavar="N", help="how long they hold (default: %(default)s)")
     parser.add_argument("--check", action="store_true", help="make none: name what has expired or does not fit")
 
 
-def main(args: argparse.Namespace) -> int:
+def certs_command(args: argparse.Namespace) -> int:
     if args.check:
-        kept = credentials_folder.check(args.folder)
+        kept = credentials.check(args.folder)
     else:
-        wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials_folder.roles()
-        kept = credentials_folder.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
+        wanted = [role for role in args.roles.split(",") if role] if args.roles else credentials.roles()
+        kept = credentials.make(args.folder, tuple(args.hosts.split(",")), wanted, args.days)
     for certificate in kept:
         print(_line(certificate))
     broken = [certificate for certificate in kept if certificate.wrong]

@@ -14,7 +14,7 @@ from nuno.formatting import plain
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.solver_selection.budget import BUDGET, Budget
+from nuno.simulation.solver_selection.trials import BUDGET, Budget
 from nuno_schemas.errors import BadInput
 from nuno_schemas.units import to_si
 
@@ -85,7 +85,7 @@ def find_run(args: argparse.Namespace) -> tuple[str, str]:
 
 def warn(recording: Recording) -> None:
     """Print a warning if a recording is incomplete."""
-    from nuno.recording.gaps import shortcoming
+    from nuno.recording.reader import shortcoming
 
     if problem := shortcoming(recording):
         print(plain(f"{recording.path}: {problem}"), file=sys.stderr)

@@ -7,11 +7,9 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from nuno.api.fit import Fit, Girth, Seam, Spread, read_fits
+from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
-from nuno.cli.top import align
-from nuno.fit.measure import Fit, Girth, Spread
-from nuno.fit.read import read_fits
-from nuno.fit.seams import Seam
 from nuno.recording.reader import open_recording
 from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
@@ -21,7 +19,7 @@ SEAMS = 8
 """Most seams in the text, those with the largest pull."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, metavar="FILE", help="a recording, or last")
     parser.add_argument(
         "--at", action="append", default=[], metavar="NAME=HEIGHT",
@@ -34,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the same for a program, in SI units")
 
 
-def main(args: argparse.Namespace) -> int:
+def fit_command(args: argparse.Namespace) -> int:
     heights = dict(_height(item) for item in args.at)
     with open_recording(runs.find_recording(args.recording)) as recording:
         fits = read_fits(recording, args.frame, args.body, heights)

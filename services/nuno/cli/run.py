@@ -1,34 +1,99 @@
-"""`nuno run`: simulate a scene, record it, show it, report on it."""
+"""`nuno run`, and what comes before it: `nuno new` and `nuno plan`."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import shlex
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from nuno.api.plan import describe, keep_up, line_of
 from nuno.api.progress import ProgressLine
-from nuno.api.runtime_estimate import keep_up
 from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
-from nuno.process import ending_at_once
+from nuno.process import attended, ending_at_once
 from nuno.recording.writer import check_target, part_of
-from nuno.report.make import make_report
-from nuno.report.show import row, show_report
+from nuno.report.run_report import make_report, row, show_report
 from nuno.runtime import log, runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
+from nuno.scene import shipped
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
-from nuno.viewer.live import keep_page
-from nuno.viewer.require import add_view, choose_view
-from nuno_schemas.errors import BadInput
+from nuno.simulation.solver_selection.trials import Budget
+from nuno.viewer.live import add_view, choose_view, keep_page
+from nuno_schemas.errors import BadInput, nearest
+
+# `nuno new`: a commented scene to start from.
+
+KINDS = {
+    "skirt": "skirt-hula",
+    "fitted-skirt": "skirt-on-mannequin",
+    "circle-skirt": "circle-skirt",
+    "sheet": "drape-over-sphere",
+    "round-cloth": "round-table",
+    "ribbon": "contact/ribbon",
+    "shirt": "shirt-on-mannequin",
+    "poncho": "poncho",
+    "trousers": "sewn/trousers",
+    "dress": "sewn/dress",
+    "garment": "sewn/shirt",
+    "stocking": "knit/stocking-leg",
+    "dye": "dye/drops",
+}
+"""Shipped scene that each kind copies."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def new_arguments(parser: argparse.ArgumentParser) -> None:
+    kinds = ", ".join(KINDS)
+    parser.add_argument("kind", help=f"{kinds}; or any scene that comes with nuno (nuno scenes)")
+    parser.add_argument("file", nargs="?", type=Path, help="what is written (default: KIND.yaml, here)")
+
+
+def new_command(args: argparse.Namespace) -> int:
+    """Write the scene, and the files that it needs into its folder."""
+    from nuno.scene.templates import write_after  # no run waits for what writes scenes
+
+    known = shipped.scenes()
+    name = KINDS.get(args.kind, args.kind)
+    if name not in known:
+        raise BadInput(
+            "nothing of this kind to start from", value=args.kind, remedy=nearest(args.kind, [*KINDS, *known])
+        )
+    file: Path = args.file or Path(f"{args.kind.rsplit('/', 1)[-1]}.yaml")
+    if file.suffix not in (".yaml", ".yml"):
+        raise BadInput("a scene is YAML", field="FILE", value=str(file), remedy=f"{file.stem}.yaml")
+    *beside, _ = write_after(name, file)
+    for path in beside:
+        print(f"written {path}")
+    print(f"written {file}  (change it, and: nuno run {shlex.quote(str(file))})")
+    return 0
+
+
+# `nuno plan`: services, features left out and why, stable step, estimated cost.
+
+
+def plan_arguments(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    add_budget(parser)
+
+
+def plan_command(args: argparse.Namespace) -> int:
+    budget = budget_of(args)
+    attended(lambda: _print(args, budget), budget.stop)
+    return 0
+
+
+def _print(args: argparse.Namespace, budget: Budget) -> None:
+    for heading in describe(load_scene(args), budget):
+        print(line_of(heading), flush=True)
+
+
+def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser, optional=True)
     add_budget(parser)
     recording = parser.add_argument_group("recording")
@@ -59,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(threads=0)
 
 
-def main(args: argparse.Namespace) -> int:
+def run_command(args: argparse.Namespace) -> int:
     args.words = sys.stderr if str(args.log) == "-" else sys.stdout  # then standard output has the log alone
     with _scene(args) as loaded:
         return _run(loaded, args)

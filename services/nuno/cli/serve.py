@@ -13,15 +13,15 @@ from pathlib import Path
 import zenoh
 
 from nuno.bus import sessions
-from nuno.bus.slow_consumers import LOOK_SECONDS, SlowConsumers
+from nuno.bus.sessions import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
 from nuno.process import ENDING, SIGNALS, end_process
 from nuno.runtime import runs
 from nuno.runtime.launch import FINISH_TIMEOUT, LINGER
 from nuno.runtime.service import MODULES, SUPERVISOR, Options, run_service
 from nuno.scene import scene_file, shipped
-from nuno.simulation.solver_selection.budget import Budget
 from nuno.simulation.solver_selection.cloth import decide
+from nuno.simulation.solver_selection.trials import Budget
 from nuno_schemas.errors import BadInput, RunFailed
 
 LISTEN = "tcp/127.0.0.1:7447"
@@ -33,7 +33,7 @@ KEEPERS = ("recorder", "viewer")
 """Services that close a file at their end."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def serve_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("service", choices=["router", *MODULES], help="which one")
     parser.add_argument("scene", nargs="?", help="the run's scene (not for the router)")
     add_config(parser)
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="leave errors that the run hears of to its supervisor")
 
 
-def main(args: argparse.Namespace) -> int:
+def serve_command(args: argparse.Namespace) -> int:
     if args.service == "router":
         return _route(args)
     for name in ("scene", "run", "connect"):
@@ -68,7 +68,7 @@ def main(args: argparse.Namespace) -> int:
             )
     runs.check_id(args.run)
     if args.config is not None:
-        from nuno.bus.credentials_folder import role_of, roles
+        from nuno.bus.credentials import role_of, roles
 
         if (role := role_of(Path(args.config))) in {*roles()} - {args.service}:
             problem, remedy = f"this is the certificate of {role}", f"take that of the service: {args.service}.json5"

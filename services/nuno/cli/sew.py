@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
-from nuno.cli.top import align
 from nuno.formatting import many
 from nuno.output_files import replacing
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles, near
-from nuno.scene.templates.garments import Garment, build_body, describe_worn, is_own, name_garments, unit_for
+from nuno.scene.templates import Garment, build_body, describe_worn, is_own, name_garments, unit_for
 from nuno.scene.validation_errors import explain
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
@@ -30,7 +30,7 @@ MANNEQUIN = Path("mannequin")
 """Name of the shipped body in `--body`, unless there is a file of that name."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def sew_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "patterns", nargs="+", type=Path, metavar="PATTERN",
         help="a pattern as GarmentCode writes it: JSON, or YAML of the same fields; on a body the innermost first",
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(gather=1.1, edge="2 cm")
 
 
-def main(args: argparse.Namespace) -> int:
+def sew_command(args: argparse.Namespace) -> int:
     if args.motion is not None and args.body is None:
         raise BadInput("a motion moves a body", field="--motion", value=str(args.motion), remedy="add --body FILE")
     if args.check == (args.body is not None):
@@ -103,7 +103,7 @@ def wear(args: argparse.Namespace) -> int:
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
-        from nuno.simulation.cloth.build import build_fabrics
+        from nuno.simulation.cloth import build_fabrics
 
         build_fabrics(scene_file.read(scene, (), roots))  # raises the errors of a run
         return 0

@@ -1,4 +1,4 @@
-"""All bodies of a scene as one geometry, and their poses."""
+"""All bodies of a scene as one geometry, their poses, and their surfaces for drawing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, Skin, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.live import Live
@@ -88,3 +88,147 @@ def _join_meshes(shapes: list[BodyShape]) -> tuple[Float, Int, Int]:
         np.concatenate([s.faces + at for s, at in zip(shapes, vertices, strict=False)]).astype(np.int32),
         np.concatenate([s.owner + at for s, at in zip(shapes, primitives, strict=False)]).astype(np.int32),
     )
+
+
+# Surfaces of a scene's bodies from their geometry and poses, and normals of any mesh, for drawing.
+
+AROUND, RINGS = 24, 6
+"""Vertices around a capsule, and rings on each of its caps."""
+
+
+def _frame_along(direction: Float) -> Float:
+    """Return a rotation (3, 3) whose second column is `direction` (any length, y where it is 0)."""
+    length = float(np.linalg.norm(direction))
+    y = direction / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
+    helper = np.eye(3)[int(np.argmin(np.abs(y)))]
+    x = np.cross(helper, y)
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _grid_faces(rows: int, columns: int) -> Int:
+    """Return the triangles of a closed tube of `rows` rings, counter-clockwise from outside."""
+    row, column = np.divmod(np.arange((rows - 1) * columns), columns)
+    a, b = row * columns + column, row * columns + (column + 1) % columns
+    c, d = a + columns, b + columns
+    return np.stack([a, c, b, b, c, d], axis=1).reshape(-1, 3).astype(np.int32)
+
+
+def capsule_mesh(a: Float, b: Float, radius: float) -> tuple[Float, Int]:
+    """Return a closed capsule (a sphere where a = b): rings from pole to pole, all vertices on its surface."""
+    latitude = np.concatenate([np.linspace(-0.5, 0.0, RINGS + 1), np.linspace(0.0, 0.5, RINGS + 1)])[1:-1] * np.pi
+    angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    ring = radius * np.cos(latitude)[:, None, None] * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
+    ring[:, :, 1] = radius * np.sin(latitude)[:, None]
+    centre = np.where((np.arange(latitude.size) <= RINGS - 1)[:, None], a, b)
+    turn = _frame_along(b - a)
+    body = (ring @ turn.T + centre[:, None]).reshape(-1, 3)
+    poles = np.stack([a - radius * turn[:, 1], b + radius * turn[:, 1]])
+    tube, n = _grid_faces(latitude.size, AROUND), body.shape[0]
+    here = np.arange(AROUND)
+    after, top = (here + 1) % AROUND, n - AROUND
+    south = np.stack([np.full(AROUND, n), here, after], axis=1)
+    north = np.stack([np.full(AROUND, n + 1), top + after, top + here], axis=1)
+    return np.concatenate([body, poles]), np.concatenate([tube, south, north]).astype(np.int32)
+
+
+def box_mesh(centre: Float, half: Float) -> tuple[Float, Int]:
+    """Return the eight corners and twelve triangles of a box."""
+    corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    faces = [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]  # fmt: skip
+    return centre + corner * half, np.array(faces, np.int32)
+
+
+def plane_mesh(point: Float, normal: Float, size: float) -> tuple[Float, Int]:
+    """Return a square of edge `size` [m] around a point of the plane, facing along its normal."""
+    turn = _frame_along(normal)
+    corner = 0.5 * size * np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    return point + corner @ turn.T, np.array([[0, 2, 1], [0, 3, 2]], np.int32)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Triangles of all bodies in their frames: vertices (n, 3) [m], faces (f, 3) counter-clockwise seen from outside,
+    and the frame (n,) of each vertex; and for skins, whose vertices follow several frames, the number of the first
+    vertex and the skin.
+    """
+
+    vertices: Float
+    faces: Int
+    frame: Int
+    skins: tuple[tuple[int, Skin], ...] = ()
+
+    def at(self, poses: Poses) -> Float:
+        """Return the vertices (n, 3) in the world [m]. Raises IndexError for poses of fewer frames."""
+        turned = np.einsum("nij,nj->ni", rotation_matrices(poses.rotation)[self.frame], self.vertices)
+        placed = np.asarray(turned + poses.translation[self.frame])
+        for first, skin in self.skins:
+            part = slice(first, first + len(skin.joint))
+            placed[part] = poses.bend(skin, int(self.frame[first]), self.vertices[part])
+        return placed
+
+
+NO_SURFACES = Surfaces(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
+
+
+def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> Surfaces:
+    """Return the surfaces of all primitives, in order.
+
+    `inset` [m] makes bodies thinner: between its vertices, cloth cuts through the round bodies that it rests on. It
+    does not apply to meshes and skins. Infinite planes become squares of `plane_size` [m].
+    """
+    parts = [_primitive(geometry, i, inset, plane_size) for i in range(len(geometry.kind))]
+    if not parts:
+        return NO_SURFACES
+    sizes = [len(x) for x, _ in parts]
+    faces = [own + at for (_, own), at in zip(parts, np.cumsum([0, *sizes]), strict=False)]
+    frame = np.repeat(geometry.frame, sizes).astype(np.int32)
+    skins = tuple(
+        (int(at), skin) for i, at in enumerate(np.cumsum([0, *sizes[:-1]])) if (skin := geometry.skin(i)) is not None
+    )
+    return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame, skins)
+
+
+def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
+    """Return vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
+    kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])
+    if kind in OF_TRIANGLES:
+        return geometry.mesh(i)
+    if kind == BOX:
+        return box_mesh(a, np.maximum(b - inset, 0.1 * b))
+    if kind == PLANE:
+        return plane_mesh(a - inset * b, b, plane_size)
+    if kind == CAPSULE:
+        return capsule_mesh(a, b, max(radius - inset, 0.1 * radius))
+    raise ValueError(f"unknown primitive kind {int(kind)}")
+
+
+def vertex_normals(x: Float, faces: Int) -> Float:
+    """Return unit normals (n, 3) of vertices x (n, 3): means over their triangles by area, 0 without any."""
+    a, b, c = np.take(x, faces.T, axis=0)
+    u, v, corners = (b - a).T, (c - a).T, faces.reshape(-1)
+    twice = (u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))  # the cross product, by axes
+    normal = np.stack([np.bincount(corners, np.repeat(area, 3), len(x)) for area in twice], axis=1)
+    size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
+    unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
+    return unit
+
+
+def outlines(faces: Int) -> list[list[int]]:
+    """Return the boundary loops of triangles (f, 3), as lists of points."""
+    sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2).tolist()
+    inner = {(b, a) for a, b in sides}
+    after: dict[int, list[int]] = {}
+    for a, b in sides:
+        if (a, b) not in inner:
+            after.setdefault(a, []).append(b)
+    loops = []
+    while any(after.values()):
+        loop = [next(point for point, ends in after.items() if ends)]
+        while (point := after[loop[-1]].pop()) != loop[0]:
+            loop.append(point)
+        loops.append(loop)
+    return loops

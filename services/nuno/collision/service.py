@@ -8,26 +8,21 @@ from typing import Any
 import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
-from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import Query
-from nuno.collision.bodies import Bodies, build_bodies
-from nuno.collision.clearance import least_distance
-from nuno.collision.crossings import find_crossings
-from nuno.collision.distance import penetration
-from nuno.collision.live import Followers
+from nuno.bus.messages import Inbox, Message, Query
+from nuno.collision.bodies import NO_SURFACES, Bodies, build_bodies, surface
+from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
+from nuno.collision.distance import least_distance, penetration
 from nuno.collision.messages import (
     GEOMETRY_QUERY,
     LIVE_BODIES_QUERY,
     POSES_QUERY,
+    Followers,
     decode_poses,
     encode_geometry,
     encode_poses,
 )
-from nuno.collision.pairs import Mesh, NearPairs, mesh_of
-from nuno.collision.surfaces import NO_SURFACES, surface
 from nuno.plugin_contract.values import ContractError, check_array
-from nuno.recording.reader import open_recording
-from nuno.recording.restore import before_checkpoint, recorded_poses
+from nuno.recording.reader import before_checkpoint, open_recording, recorded_poses
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 from math import fsum
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -15,15 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import decode_arrays, encode_arrays
-from nuno.dye.add import NAME, as_run, extend, resist_around
 from nuno.dye.painter import check_picture
-from nuno.dye.supply import AT_THE_START, Supplies
+from nuno.dye.supply import AT_THE_START, Entry, Supplies
+from nuno.formatting import duration
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.runtime.stepper import Stepped, Stepper, copy_into, require_memory
+from nuno.scene import scene_file, yaml_lines
+from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
+from nuno.scene.validation_errors import UNNUMBERED
 from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Supply
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.messages import CONCENTRATION, DYE_CHECKPOINT, DYE_STATUS, Event
 
@@ -218,13 +224,6 @@ class DyeRun(Stepper):
             if event.frame < point.frame:
                 self.frame = event.frame
                 self.add(str(event.args["item"]))
-        self._restore(point)
-        # Additions in the checkpoint's frame may be in it already; repeating them changes nothing.
-        for event in changes:
-            if event.frame == point.frame:
-                self.add(str(event.args["item"]))
-
-    def _restore(self, point: Checkpoint) -> None:
         resist = point.arrays.get("resist")
         if resist is not None:
             copy_into({"resist": np.empty_like(self.cells.resist)}, {"resist": resist})
@@ -236,6 +235,10 @@ class DyeRun(Stepper):
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise BadInput(f"the checkpoint's supplies are not those of this scene: {error}") from None
         self.state.t = self.time
+        # Additions in the checkpoint's frame may be in it already; repeating them changes nothing.
+        for event in changes:
+            if event.frame == point.frame:
+                self.add(str(event.args["item"]))
 
     def add(self, item: str) -> str:
         """Add a supply or resist, `supply: {kind: drop, ...}`; return its field in the scene.
@@ -250,7 +253,8 @@ class DyeRun(Stepper):
             resists = cloth.plugin.resists(cloth.config, self.cells, changed.files)
         except BadInput as error:
             raise changed.at("dye.cloth", error) from None
-        loaded = as_run(changed, previous)
+        kept = {name: getattr(previous, name) for name in ("file", "lines", "files", "overrides", "path")}
+        loaded = replace(changed, **kept)
         if len(supplies) > len(self.supplies.entries):
             stop = supplies[-1].stop
             if stop is not None and stop <= self.time:
@@ -290,3 +294,121 @@ def build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
         return cells, state, plugin.supplies(config, cells, dyes)
     except BadInput as error:
         raise loaded.at("dye.cloth", error) from None
+
+
+# Supplies and resists that are added to a dyeing during its run.
+
+PLACES = ("supply", "resist")
+"""Lists of `dye.cloth` that take another item."""
+NAME = "add"
+"""Name of an added item's text in errors."""
+MARGIN = 4.0 * np.finfo(np.float64).eps
+"""Relative rounding error of V_u computed from B."""
+
+
+def parse(item: str) -> tuple[str, dict[str, Any]]:
+    """Split `supply: {kind: drop, ...}` into supply and its fields. Raises BadInput."""
+    value = yaml_lines.parse_value(item)
+    if not isinstance(value, dict) or len(value) != 1:
+        remedy = "for example supply: {kind: drop, place: [5 mm, 5 mm], diameter: 1 mm}"
+        raise BadInput("add takes one supply or one resist", NAME, value=item, remedy=remedy)
+    place, fields = next(iter(value.items()))
+    if place not in PLACES:
+        raise BadInput("this cannot be added to a run", NAME, field=place, remedy=nearest(place, PLACES))
+    return place, fields
+
+
+def extend(loaded: Loaded, item: str) -> tuple[Loaded, str]:
+    """Return the scene with one more item, and the item's field, `dye.cloth.supply[2]`.
+
+    Errors of the new scene are errors of the item, and have NAME as file. Raises BadInput.
+    """
+    place, fields = parse(item)
+    data = deepcopy(loaded.data)
+    items = data["dye"]["cloth"].setdefault(place, [])
+    items.append(fields)
+    path: yaml_lines.Path = ("dye", "cloth", place, len(items) - 1)
+    lines = dict.fromkeys([*loaded.lines, *yaml_lines.places(fields, path)], UNNUMBERED)
+    files = RecordedFiles(loaded.files.folder, loaded.files.roots, loaded.files.used)
+    return scene_file.load(data, lines, NAME, files), yaml_lines.dotted(path)
+
+
+class RecordedFiles(SceneFiles):
+    """The files that a run has used, which its recording includes."""
+
+    def resolve(self, name: str) -> Path:
+        """Return a used file. Raises BadInput for others, with which the recording could not be replayed."""
+        if name not in self.used:
+            allowed = (
+                f"images that the scene names ({', '.join(self.used)})" if self.used else "no image: the scene has none"
+            )
+            raise BadInput(
+                "the file is not in the run's recording, which could not be replayed", value=name,
+                remedy=f"an added resist may use {allowed}; or a shape, a paste, a binding",
+            )  # fmt: skip
+        return self.used[name]
+
+
+def resist_around(phi: Float, cells: Cells, before: Float, after: Float) -> Float:
+    """Return B (2, ny, nx) after a resist is added to dyed cells: it takes only the free room.
+
+    `before` and `after` are B of the scene without and with it, phi (dyes, 2, ny, nx). With phi <= V_max P (1 - B)
+
+        B <= 1 - phi / (V_max P),
+
+    and B, which may have found less room than `before` allows, is never lowered.
+    """
+    room, most = cells.v_max * cells.porosity, phi.max(axis=0)
+    free = np.ones_like(room)
+    np.divide(most, room, out=free, where=most > 0.0)
+    np.subtract(1.0, free * (1.0 + MARGIN) + MARGIN, out=free, where=most > 0.0)
+    covered: Float = np.where(after > before, np.maximum(cells.resist, np.clip(free, 0.0, after)), cells.resist)
+    return covered
+
+
+# The plan of a dyeing, for `nuno plan`: size, step, and cost estimated from a frame.
+
+
+def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
+    """Return rows (heading, text). Raises BadInput for a scene that would not start."""
+    dyeing = DyeRun(loaded, 0)
+    return [
+        (
+            "dye cloth" if loaded.scene.moves else "cloth",
+            f"{f'on {on}, ' if (on := loaded.dyed.said.object) else ''}{_size(dyeing)}",
+        ),
+        ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
+        *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
+        ("solver", f"{dyeing.describe_step(loaded.dyed.solver.name, dyeing.limit)}; {dyeing.about()}"),
+        *_cost(dyeing, loaded),
+    ]
+
+
+def _dye(one: Dye) -> str:
+    law = one.isotherm.kind if one.isotherm is not None and one.adsorption else "nothing is fixed"
+    slower = one.weisz_zollinger
+    factor = f" x min({slower.cap:g}, {slower.phi0:g} / phi)" if slower is not None else ""
+    return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h{factor}, {law})"
+
+
+def _size(dyeing: DyeRun) -> str:
+    _, ny, nx = dyeing.cells.fibre.shape
+    size = dyeing.cells.size * 1e3
+    larger = f", {dyeing.cells.coarser} times as large as given" if dyeing.cells.coarser > 1 else ""
+    return f"{nx * size:.4g} mm x {ny * size:.4g} mm: {2 * ny * nx:,} cells of {size:.4g} mm{larger}, in two layers"
+
+
+def _supply(entry: Entry) -> str:
+    one = entry.supply
+    times = f"at {duration(one.start)}"
+    if one.stop is not None:
+        times = f"{duration(one.start)} to {'the end' if math.isinf(one.stop) else duration(one.stop)}"
+    return f"{one.kind} {times}{', exhausted' if entry.finite else ''}"
+
+
+def _cost(dyeing: DyeRun, loaded: Loaded) -> list[tuple[str, str]]:
+    scene, memory, rare = loaded.scene, estimate_memory(loaded)[1], loaded.scene.record.dye_every
+    shown = scene.frames if rare is None else min(scene.frames, int(scene.duration / rare) + dyeing.checkpoints)
+    size = (8 * (shown + 1) + 16 * dyeing.checkpoints) * dyeing.state.phi.size
+    speed = f", {duration(scene.frames / scene.frame_rate * dyeing.speed)} of dyeing" if dyeing.speed != 1.0 else ""
+    return dyeing.describe_cost(dyeing.time_frame(), size, memory, speed)

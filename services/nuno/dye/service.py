@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
-from nuno.recording.restore import before_checkpoint
+from nuno.recording.reader import before_checkpoint
 from nuno.runtime.driver import Driver
-from nuno.runtime.resimulation import resume
-from nuno.runtime.service import Context
-from nuno.runtime.stepper import Stepped
-from nuno.runtime.watchdog import FrameWatchdog
+from nuno.runtime.service import Context, FrameWatchdog
+from nuno.runtime.stepper import Stepped, resume
 from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS
 
 

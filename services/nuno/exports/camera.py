@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
 from nuno.scene.override import apply_override, overridden
-from nuno.scene.plausible import implausible_fields
 from nuno.scene.validation_errors import explain
+from nuno.scene.warnings import implausible_fields
 from nuno.scene.yaml_lines import Path
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

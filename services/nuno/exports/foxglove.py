@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from nuno.bus.encodings import foxglove_schema
 from nuno.exports.camera import place_camera, read_view, z_up
-from nuno.exports.shapes import CLOTH, ROOT, Shape, Show, Turn
+from nuno.exports.meshes import CLOTH, ROOT, Shape, Show, Turn
 from nuno.output_files import Progress, check_target, writing
 from nuno.recording.mcap_file import CHUNK_BYTES
 from nuno.recording.reader import Recording, opened

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nuno.collision.surfaces import outlines
-from nuno.exports.cloth import Pieces, ShownPiece, check_size, read_frame
-from nuno.exports.paint import STRETCH, paint_stretch
+from nuno.collision.bodies import outlines
+from nuno.exports.cloth import STRETCH, Pieces, ShownPiece, check_size, paint_stretch, read_frame
 from nuno.output_files import check_target, load_extra, writing
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.colour import colours, to_srgb
@@ -121,7 +120,13 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
     ]  # fmt: skip
     with writing(path, suffix) as new:
         if suffix == ".pdf":
-            _write_pdf("\n".join(lines), new)
+            fpdf = _fpdf()
+            drawing = fpdf.svg.SVGObject("\n".join(lines))
+            page = fpdf.FPDF(unit="pt", format=(drawing.width, drawing.height))
+            page.set_auto_page_break(False)
+            page.add_page()
+            drawing.draw_to_page(page)
+            page.output(str(new))
         else:
             new.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
@@ -129,17 +134,6 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
 
 def _fpdf() -> Any:
     return load_extra(("fpdf", "fpdf.svg"), "PDF needs fpdf2", "pdf", "export an .svg")
-
-
-def _write_pdf(svg: str, path: Path) -> None:
-    """Write a PDF with one page of the size of the drawing."""
-    fpdf = _fpdf()
-    drawing = fpdf.svg.SVGObject(svg)
-    page = fpdf.FPDF(unit="pt", format=(drawing.width, drawing.height))
-    page.set_auto_page_break(False)
-    page.add_page()
-    drawing.draw_to_page(page)
-    page.output(str(path))
 
 
 def _cloth(piece: ShownPiece, flat: Float, corners: Corners, panels: Panels) -> list[str]:

@@ -15,19 +15,24 @@ from pydantic import BaseModel
 
 from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
+    BODY,
+    PLAIN,
+    SIDES,
+    STRETCH,
     Pieces,
     Pressures,
     ShownBodies,
     ShownPiece,
     body_vertices,
     check_size,
+    paint_pressure,
     read_bodies,
     read_frame,
     read_pressure,
+    tubes,
 )
 from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
-from nuno.exports.paint import BODY, PLAIN, SIDES, STRETCH, paint_pressure, tubes
-from nuno.exports.shapes import paint_piece
+from nuno.exports.meshes import paint_piece
 from nuno.output_files import Progress, check_target, following, write_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.exports.shapes import CLOTH, Shape, Show, Turn
+from nuno.exports.meshes import CLOTH, Shape, Show, Turn
 from nuno.output_files import Progress, check_folder, load_extra, writing_folder
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.fabric import Float

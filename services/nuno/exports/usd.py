@@ -12,11 +12,20 @@ import numpy as np
 from PIL import Image
 
 from nuno.bus.encodings import origin_of
-from nuno.collision.surfaces import vertex_normals
-from nuno.exports.cloth import Pieces, ShownPiece, body_vertices, check_size, read_bodies, read_frame
+from nuno.collision.bodies import vertex_normals
+from nuno.exports.cloth import (
+    BODY,
+    PLAIN,
+    Pieces,
+    ShownPiece,
+    body_vertices,
+    check_size,
+    paint_stretch,
+    read_bodies,
+    read_frame,
+)
 from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.exports.meshes import panel_runs
-from nuno.exports.paint import BODY, PLAIN, paint_stretch
 from nuno.output_files import Progress, check_target, following, load_extra, writing
 from nuno.process import scratch
 from nuno.recording.reader import Recording, opened
@@ -119,7 +128,7 @@ class _Writer:
                     self.add_cloth(piece, x[piece.start : piece.stop] - origin, code)
             points = body_vertices(self.recording, bodies, shown.t)
             if bodies is not None and len(points):
-                self.add_bodies(points - origin, bodies.faces, code)
+                self.bind(self.add_mesh(BODIES, points - origin, bodies.faces, None, code), BODY)
             if done % AT_ONCE == 0:
                 self.stage.Save()
         if shown is None or not self.shaped:
@@ -189,10 +198,6 @@ class _Writer:
                 subset.GetFamilyNameAttr().Set("panel")
                 subset.GetIndicesAttr().Set(vt.IntArray.FromNumpy(np.arange(first, stop, dtype=np.int32)), when)
                 subset.GetPrim().SetDisplayName(name)
-
-    def add_bodies(self, x: Float, faces: Int, code: Any) -> None:
-        """Add all bodies as one mesh."""
-        self.bind(self.add_mesh(BODIES, x, faces, None, code), BODY)
 
     def colour(self, piece: ShownPiece) -> None:
         """Give a piece its material, by its image, else its colour, unless it is painted by its stretch."""

@@ -8,22 +8,32 @@ from __future__ import annotations
 import contextlib
 import logging
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno.plugin_contract import containment
-from nuno.plugin_contract.results import check, check_turn, doubts
-from nuno.plugin_contract.values import ContractError, check_array
-from nuno_schemas.dye import DyeState, Isotherm
+from nuno.plugin_contract.values import (
+    ContractError,
+    check_array,
+    check_field,
+    check_layout,
+    check_number,
+    check_skins,
+    check_type,
+)
+from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
+from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.fabric import Float, State
+from nuno_schemas.fabric import Fabric, Float, Hinges, Memory, Springs, State, Yarns
 from nuno_schemas.layout import Bounds
+from nuno_schemas.operation import Arranged, Outcome
 from nuno_schemas.plugin import BodyShape, Mover
-from nuno_schemas.system import Term
+from nuno_schemas.system import StepLimit, StepReport, Term, Touched
 
 LOGGER = logging.getLogger("nuno.plugins")
 ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fixed")}
@@ -55,7 +65,7 @@ class Foreign:
 
     A method may raise BadInput and RunFailed; any other error, also KeyboardInterrupt without a signal, becomes
     RunFailed with the plugin's name; `nuno.plugin_contract.containment` has the other limits. Its results are checked
-    against the contract of its kind (`nuno.plugin_contract.results`), and so are the state after `advance` and the
+    against the contract of its kind (`nuno.plugin_contract.guards`), and so are the state after `advance` and the
     results of its functions.
     """
 
@@ -165,3 +175,259 @@ class Foreign:
             check_array(what, values, np.float64, shape, Bounds(finite=finite, strided=strided))
         except ContractError as error:
             raise RunFailed(f"{self._label}: {error}") from None
+
+
+# Checks of plugins' results against the layout that the schema gives them, before any compiled code sees them.
+#
+# A kernel does not check an index: one out of range reads or writes other memory. Each function raises
+# ContractError with the field and the first wrong row. `check_layout` checks annotations; this module has the rest.
+
+UNIT = 1e-6
+"""Tolerance of the length of a unit vector or quaternion."""
+
+
+def check_fabric(fabric: Fabric) -> None:
+    """Check a fabric's arrays, and that springs, hinges, yarns and bindings refer to existing vertices and springs."""
+    check_layout("", fabric)
+    n, springs = fabric.number, fabric.springs
+    if springs is not None:
+        check_runs("springs", springs, n)
+        if (springs.lock is None) != (springs.k_lock is None):
+            raise ContractError("springs.lock and springs.k_lock are not both given, nor neither")
+        if springs.k_lock is not None:
+            k, k_lock = (springs.per_spring(values) for values in (springs.k, springs.k_lock))
+            if (low := np.flatnonzero(k_lock < k)).size:
+                raise ContractError(
+                    f"springs.k_lock is {k_lock[low[0]]} at spring {low[0]}, less than its k {k[low[0]]}"
+                )
+    if fabric.hinges is not None:
+        check_runs("hinges", fabric.hinges, n)
+    if fabric.corners is not None:
+        differ = (fabric.corners.vertex[fabric.corners.faces] != fabric.faces).any(axis=1)
+        if differ.any():
+            raise ContractError(f"corners.faces are of other vertices than faces at row {np.flatnonzero(differ)[0]}")
+    if fabric.yarns is not None:
+        check_yarns(fabric.yarns, springs.number if springs is not None else 0)
+    for i, binding in enumerate(fabric.bindings):
+        if not fabric.pinned[binding.vertices].all():
+            raise ContractError(f"bindings[{i}].vertices has some that are not pinned")
+
+
+def check_runs(what: str, runs: Springs | Hinges, n: int) -> None:
+    """Check that runs end within n vertices, and that no element names a vertex twice."""
+    reach = np.maximum(runs.count.astype(np.int64) - 1, 0) * runs.stride
+    last = runs.first + reach[:, None]
+    if (outside := np.argwhere((last < 0) | (last >= n))).size:
+        row, column = outside[0]
+        raise ContractError(f"{what} of run {row} go on to vertex {last[row, column]}, outside 0 to {n - 1}")
+    corners = np.sort(runs.first, axis=1)
+    if (repeated := np.flatnonzero((np.diff(corners, axis=1) == 0).any(axis=1))).size:
+        raise ContractError(f"{what}.first names a vertex twice at row {repeated[0]}")
+
+
+def check_yarns(yarns: Yarns, springs: int) -> None:
+    """Check yarns of a fabric with this number of springs."""
+    check_array("yarns.links", yarns.links, np.int32, (None,), Bounds(0, springs - 1))
+    check_array("yarns.ptr", yarns.ptr, np.int32, (yarns.number + 1,))
+    if (np.diff(yarns.ptr) < 0).any() or yarns.ptr[0] != 0 or yarns.ptr[-1] != len(yarns.links):
+        raise ContractError("yarns.ptr does not rise from 0 to the number of links")
+    check_array("yarns.kind", yarns.kind, np.int8, (None,), Bounds(0, len(yarns.names) - 1))
+
+
+def check_body(shape: BodyShape, mover: Mover | None) -> None:
+    """Check a body on the joints of its mover, or on the world."""
+    check_layout("", shape)
+    joints = 1 if mover is None else len(mover.joints)
+    if len(shape.frames) != joints:
+        raise ContractError(f"frames are {len(shape.frames)}, of a motion of {joints}")
+    kinds = {
+        "radius is not above 0": (CAPSULE, shape.radius > 0.0),
+        "b is no unit normal": (PLANE, np.abs(np.linalg.norm(shape.b, axis=1) - 1.0) <= UNIT),
+        "b has a half extent that is not above 0": (BOX, (shape.b > 0.0).all(axis=1)),
+    }
+    for problem, (kind, good) in kinds.items():
+        if (bad := np.flatnonzero((shape.kind == kind) & ~good)).size:
+            raise ContractError(f"{problem} at row {bad[0]}")
+    if (bad_owners := np.flatnonzero(~np.isin(shape.kind[shape.owner], OF_TRIANGLES))).size:
+        raise ContractError(f"owner is {shape.owner[bad_owners[0]]} at row {bad_owners[0]}, which has no triangles")
+    if len(shape.fields) != int((shape.kind == FIELD).sum()):
+        raise ContractError(
+            f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one"
+        )
+    for i, field in enumerate(shape.fields):
+        check_field(f"fields[{i}]", field)
+    check_skins(shape)
+    if shape.pose is not None and (mover is None or not callable(shape.pose)):
+        raise ContractError("pose is no function" if mover is not None else "pose is one of a body without a motion")
+
+
+def check_mover(mover: Mover) -> None:
+    """Check a skeleton, and that the parent of each joint is an earlier one, or the world."""
+    check_layout("", mover)
+    if not mover.joints or not callable(mover.pose):
+        raise ContractError("pose is no function" if mover.joints else "joints are none")
+    if (late := np.flatnonzero(mover.parents >= np.arange(len(mover.joints)))).size:
+        raise ContractError(f"parents is {mover.parents[late[0]]} at row {late[0]}, which does not come before it")
+
+
+def check_turn(rotation: NDArray[Any]) -> None:
+    """Check that rotations (j, 4) are unit quaternions."""
+    length = np.linalg.norm(rotation, axis=1)
+    if (bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT))).size:
+        raise ContractError(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
+
+
+def check_memory(memory: Memory) -> None:
+    """Check that the arrays of memory can be stored in a checkpoint."""
+    for name, values in memory.arrays.items():
+        if not isinstance(values, np.ndarray) or values.dtype.hasobject:
+            raise ContractError(f"arrays[{name!r}] is {type(values).__name__}, no array of numbers")
+
+
+def check_term(term: Term, fabric: Fabric) -> None:
+    """Check a force on a fabric."""
+    check_layout("", term)
+    for name, value in term.facts.items():
+        check_number(f"facts[{name!r}]", value)
+    if callable(term.data):
+        return
+    if not (isinstance(term.data, tuple) and all(hasattr(part, "_fields") for part in term.data)):
+        kind = type(term.data).__name__
+        raise ContractError(f"data is {kind}, neither a tuple of named tuples nor a function f(x, v, t, out)")
+    for i, part in enumerate(term.data):
+        check_layout(f"data[{i}].", part, {"n": fabric.number})
+        kernels = getattr(type(part), "kernels", None)
+        roles = fields(kernels) if is_dataclass(kernels) else ()
+        if all(getattr(kernels, role.name) is role.default for role in roles if role.name != "name"):
+            kind = f"data[{i}] is of type {type(part).__name__}, which has no kernels"
+            raise ContractError(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
+
+
+def check_touched(touched: Touched, vertices: int) -> None:
+    """Check forces of bodies on this number of vertices."""
+    for name, values in (*((f"by[{name!r}]", values) for name, values in touched.by.items()), ("total", touched.total)):
+        check_array(name, values, np.float64, (vertices, 3), Bounds(finite=False, strided=True))
+
+
+def check_outcome(outcome: Outcome, vertices: int) -> None:
+    """Check the outcome of an operation on a fabric with this number of vertices."""
+    if (changed := outcome.changed) is None:
+        return
+    check_type("changed.fabric", changed.fabric, Fabric)
+    check_fabric(changed.fabric)
+    n = changed.fabric.number
+    check_layout("changed.state.", changed.state, {"n": n})
+    check_array("changed.source", changed.source, np.int32, (n,), Bounds(-1, vertices - 1))
+    if (np.diff(changed.source[changed.source >= 0]) <= 0).any():
+        raise ContractError("changed.source does not keep the order of the old vertices")
+
+
+def check_cloth(result: Any, dyes: int) -> None:
+    """Check cells, and their amounts of this number of dyes."""
+    if len(result) != 2:
+        raise ContractError(f"it is {len(result)} things, not cells and amounts")
+    cells, state = result
+    check_type("cells", cells, Cells)
+    check_layout("cells.", cells)
+    check_type("amounts", state, DyeState)
+    check_layout("", state, _lengths(cells, dyes))
+
+
+def check_supplies(supplies: Sequence[Supply], cells: Cells, dyes: int) -> None:
+    """Check supplies of this number of dyes to the cells."""
+    for i, supply in enumerate(supplies):
+        check_type(f"[{i}]", supply, Supply)
+        check_layout(f"[{i}].", supply, _lengths(cells, dyes))
+
+
+def check_resists(resists: Sequence[Any], cells: Cells) -> None:
+    """Check the shares of the cells' room that resists take."""
+    for i, values in enumerate(resists):
+        check_array(f"[{i}]", values, np.float64, cells.fibre.shape[1:], Bounds(0.0, 1.0))
+
+
+def check_isotherm(isotherm: Isotherm) -> None:
+    """Check an isotherm's numbers, or its function."""
+    check_layout("", isotherm)
+    if isotherm.kind == "python" and not callable(isotherm.function):
+        raise ContractError("function is none, of kind 'python'")
+
+
+def _lengths(cells: Cells, dyes: int) -> dict[str, int]:
+    return {"dyes": dyes, "ny": cells.fibre.shape[1], "nx": cells.fibre.shape[2]}
+
+
+def check_picture(picture: NDArray[Any]) -> None:
+    """Check a picture in sRGB."""
+    check_array("it", picture, np.uint8, (None, None, 3), Bounds(strided=True))
+
+
+def _of(kind: type, args: Sequence[Any]) -> Any:
+    return next((arg for arg in args if isinstance(arg, kind)), None)
+
+
+CHECKS: Mapping[tuple[str, str], tuple[type, Callable[[Any, Sequence[Any]], None]]] = {
+    ("nuno.models", "build"): (Fabric, lambda found, args: check_fabric(found)),
+    ("nuno.models", "build_over"): (Fabric, lambda found, args: check_fabric(found)),
+    ("nuno.models", "count"): (int, lambda found, args: check_number("it", found, Bounds(0))),
+    ("nuno.forces", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
+    ("nuno.contacts", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
+    ("nuno.cloth_contacts", "prepare"): (Term, lambda found, args: check_term(found, _of(Fabric, args))),
+    ("nuno.motions", "prepare"): (Mover, lambda found, args: check_mover(found)),
+    ("nuno.colliders", "build"): (BodyShape, lambda found, args: check_body(found, _of(Mover, args))),
+    ("nuno.integrators", "prepare"): (Memory, lambda found, args: check_memory(found)),
+    ("nuno.integrators", "limit"): (StepLimit, lambda found, args: check_layout("", found)),
+    ("nuno.integrators", "touched"): (Touched, lambda found, args: check_touched(found, len(_of(State, args).x))),
+    ("nuno.integrators", "advance"): (StepReport, lambda found, args: check_layout("", found)),
+    ("nuno.operations", "apply"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
+    ("nuno.operations", "apply_beside"): (Outcome, lambda found, args: check_outcome(found, len(_of(State, args).x))),
+    ("nuno.operations", "arrange"): (
+        Arranged, lambda found, args: check_layout("", found, {"n": _of(Fabric, args).number}),
+    ),
+    ("nuno.renderers", "render"): (np.ndarray, lambda found, args: check_picture(found)),
+    ("nuno.dye_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),
+    ("nuno.yarn_pictures", "draw"): (np.ndarray, lambda found, args: check_picture(found)),
+    ("nuno.dye_solvers", "prepare"): (Memory, lambda found, args: check_memory(found)),
+    ("nuno.dye_solvers", "advance"): (
+        DyeReport, lambda found, args: check_layout("", found, {"dyes": len(_of(DyeState, args).phi)}),
+    ),
+    ("nuno.dye_cloths", "build"): (tuple, lambda found, args: check_cloth(found, len(args[3]))),
+    ("nuno.dye_cloths", "count"): (int, lambda found, args: check_number("it", found, Bounds(0))),
+    ("nuno.dye_cloths", "resists"): (tuple, lambda found, args: check_resists(found, args[1])),
+    ("nuno.dye_cloths", "supplies"): (tuple, lambda found, args: check_supplies(found, args[1], len(args[2]))),
+    ("nuno.isotherms", "prepare"): (Isotherm, lambda found, args: check_isotherm(found)),
+}  # fmt: skip
+"""Type of the result of each kind's methods, and its check."""
+
+
+def check(group: str, method: str, result: Any, args: Sequence[Any]) -> None:
+    """Raise ContractError for a result of a plugin's method, called with `args`, that violates its kind's contract."""
+    if (group, method) in CHECKS:
+        kind, check_result = CHECKS[group, method]
+        check_type("it", result, kind)
+        check_result(result, args)
+
+
+SPAN, MASS, CELL = (1e-3, 1e2), (1e-6, 1e4), (1e-6, 1e-1)
+"""Usual sizes of cloth and bodies [m], masses of cloth [kg] and sizes of dye cells [m]."""
+
+
+def doubts(result: Any) -> list[str]:
+    """Return warnings of values that are possible, but look as if they were in another unit."""
+    sizes: list[tuple[str, float, tuple[float, float], str]] = []
+    if isinstance(result, Fabric) and result.number > 1:
+        sizes += [("position", _span(result.position), SPAN, "m"), ("mass", float(result.mass.sum()), MASS, "kg")]
+    elif isinstance(result, BodyShape):
+        sizes += [("radius", 2.0 * float(r), SPAN, "m") for r in result.radius[result.radius > 0.0]]
+        sizes += [("vertices", _span(result.vertices), SPAN, "m")] if len(result.vertices) else []
+    elif isinstance(result, tuple) and result and isinstance(result[0], Cells):
+        sizes += [("cells.size", result[0].size, CELL, "m")]
+    return [
+        f"{what} comes to {size:.3g} {unit}, {low:g} to {high:g} {unit} being usual: is it in {unit}?"
+        for what, size, (low, high), unit in sizes
+        if not low <= size <= high
+    ]
+
+
+def _span(x: NDArray[Any]) -> float:
+    return float(np.linalg.norm(np.ptp(x, axis=0)))

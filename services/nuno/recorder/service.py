@@ -7,11 +7,9 @@ import time
 from typing import Any
 
 from nuno.bus.encodings import BadMessage
-from nuno.bus.messages import ALL, Inbox, Message
-from nuno.bus.query import Query
+from nuno.bus.messages import ALL, Inbox, Message, Query
 from nuno.process import SIGNALS
-from nuno.recording.reader import END, Recording, open_recording
-from nuno.recording.restore import copy_until
+from nuno.recording.reader import END, Recording, copy_until, open_recording
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
 from nuno.runtime.service import Context, each_message
 from nuno.scene.provenance import CHANGE_RESULTS, assets, describe_run

@@ -1,4 +1,4 @@
-"""Reader of recordings; cut or damaged ones are read up to there."""
+"""Reader of recordings: messages, frames, checkpoints and what is missing; cut or damaged ones are read up to there."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import fcntl
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -18,9 +19,11 @@ from mcap.records import Attachment, ChunkIndex, Message
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, decode_points
-from nuno.recording.layout import Damaged, Layout, read_index, read_layout, read_messages, read_record
+from nuno.formatting import counted
+from nuno.process import SIGNALS
+from nuno.recording.mcap_file import Damaged, Layout, read_index, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
-from nuno.recording.writer import check_payload, part_of, topic_of
+from nuno.recording.writer import RecordingWriter, check_payload, part_of, topic_of
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -28,6 +31,7 @@ from nuno_schemas.messages import (
     BODIES,
     CHECKPOINT,
     CHECKPOINTS,
+    CONCENTRATION,
     CONTACT,
     DYE_CHECKPOINT,
     DYE_STATUS,
@@ -41,15 +45,24 @@ from nuno_schemas.messages import (
     STATUSES,
     Contact,
     Event,
+    Header,
 )  # fmt: skip
-
-# The file of a recording: messages in order or from the end, with every damage reported.
 
 MOST_FRAMES = 2**31
 
 
-class RecordedFile:
-    """The messages of a recording, without their meaning. Close it, or use it in a `with`.
+END = "end"
+"""Name of the closing metadata, which only a finished recording has."""
+SERIES = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
+"""Fields of a status that are columns, where it has them."""
+SERVICE_COLUMNS = ("steps", "step_seconds")
+"""Columns of each service; those of a garment's dye are dye_steps, dye_step_seconds."""
+TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
+"""Mappings in a status: each entry is a column, `energy_kinetic`."""
+
+
+class Recording:
+    """A recording on disk. Close it, or use it in a `with`.
 
     Opening it reads all of it, and a cut or damaged file up to there; with `scan` false only the index, if it has one:
     for its metadata and span, not its messages. Raises BadInput where the file is missing, no recording, or (while
@@ -80,6 +93,7 @@ class RecordedFile:
             raise
         self._read: tuple[int, list[Message]] = -1, []
         """Position of the chunk that was read last, and its messages."""
+        self._marks: dict[str, dict[int, tuple[int, str]]] = {}
         self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
 
     def __enter__(self) -> Self:
@@ -251,27 +265,6 @@ class RecordedFile:
         except (Damaged, BadMessage, IndexError) as error:
             remedy = "the disk or a copy changed it: take another copy"
             raise BadInput(f"the recording is damaged: {place}{error}", str(self.path), remedy=remedy) from None
-
-
-END = "end"
-"""Name of the closing metadata, which only a finished recording has."""
-SERIES = ("frame", "t", "steps", "step_seconds", "stretch", "time", "balance")
-"""Fields of a status that are columns, where it has them."""
-SERVICE_COLUMNS = ("steps", "step_seconds")
-"""Columns of each service; those of a garment's dye are dye_steps, dye_step_seconds."""
-TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
-"""Mappings in a status: each entry is a column, `energy_kinetic`."""
-
-
-class Recording(RecordedFile):
-    """A recording on disk. Close it, or use it in a `with`.
-
-    Raises BadInput as `RecordedFile` does.
-    """
-
-    def __init__(self, path: Path | str, scan: bool = True) -> None:
-        super().__init__(path, scan)
-        self._marks: dict[str, dict[int, tuple[int, str]]] = {}
 
     @property
     def complete(self) -> bool:
@@ -466,3 +459,148 @@ def _column(values: list[Any]) -> NDArray[Any]:
     if all(isinstance(value, int) for value in values):
         return np.array(values, np.int64)
     return np.array([np.nan if value is None else value for value in values], np.float64)
+
+
+# Missing and doubled messages of a recording, by their numbers, the closing counts and the frames.
+
+FRAMES = ((STATUS.name, STATE.name), (DYE_STATUS.name, CONCENTRATION.name))
+"""Topics with one message for each frame."""
+
+
+@dataclass(frozen=True)
+class Lacks:
+    """Numbers of missing and of doubled messages by topic."""
+
+    missing: dict[str, int]
+    doubled: dict[str, int]
+
+    def __str__(self) -> str:
+        """Return the numbers in words; empty if nothing is missing or doubled."""
+        lost, twice = counted(self.missing), counted(self.doubled)
+        return "; ".join(filter(None, (lost and f"missing: {lost}", twice and f"more than once: {twice}")))
+
+
+NOTHING = Lacks({}, {})
+
+
+def count_gaps(messages: Iterable[Recorded]) -> dict[str, int]:
+    """Return how many numbers of each topic are missing before a later one, in messages in the order of a file.
+
+    Every sender numbers each of its topics from 0 on. A resumed run starts at 0 again; the part that it copied ends at
+    the checkpoint, and is complete before it.
+    """
+    following, lost = Counter[str](), Counter[str]()
+    for message in messages:
+        lost[message.topic] += max(0, message.seq - following[message.topic])
+        following[message.topic] = message.seq + 1
+    return {topic: number for topic, number in lost.items() if number}
+
+
+def find_lacks(recording: Recording) -> Lacks:
+    """Find the missing and doubled messages of a recording. Reads all of it.
+
+    A recorder that had to finish knew all sent messages, also those after its last. Its counts are not trusted alone:
+    the file may have been changed since. After a killed run only the file shows gaps, and its end is unknown.
+    """
+    found, times = Counter[str](), {topic: Counter[int]() for pair in FRAMES for topic in pair}
+    numbers = {status: set[int]() for status, _ in FRAMES}
+
+    def counting() -> Iterable[Recorded]:
+        for message in recording.messages():
+            found[message.topic] += 1
+            if message.topic in times:
+                times[message.topic][message.log_time] += 1
+            if message.topic in numbers:
+                numbers[message.topic].add(recording.said(message)["frame"])
+            yield message
+
+    lost = Counter(count_gaps(counting())) | _uncounted(recording, found)
+    rare = (recording.scene.get("record") or {}).get("dye_every") is not None
+    for status, published in FRAMES[: 1 if rare else 2]:
+        # A cut file may end between two messages of a frame.
+        last = min(max(times[one], default=-1) for one in (status, published)) if recording.recovered else 2**64
+        for one, other in ((status, published), (published, status)):
+            lost |= Counter({one: sum(t <= last for t in times[other].keys() - times[one].keys())})
+    lost |= Counter({status: max(own, default=-1) + 1 - len(own) for status, own in numbers.items()})
+    twice = Counter({topic: sum(each.values()) - len(each) for topic, each in times.items()})
+    twice |= Counter({topic: found[topic] - number for topic, number in recording.numbers("counts").items()})
+    return Lacks(dict(+lost), dict(+twice))
+
+
+def _uncounted(recording: Recording, found: Mapping[str, int]) -> Counter[str]:
+    """Return the messages that are missing by the closing metadata, given the numbers `found`."""
+    counts = {topic: number - found.get(topic, 0) for topic, number in recording.numbers("counts").items()}
+    return Counter(recording.missing) | Counter(counts)
+
+
+def shortcoming(recording: Recording, lacks: Lacks | None = None) -> str:
+    """Return why a recording is incomplete, in one line; empty if it is complete.
+
+    Without `lacks`, a finished recording is only checked by its closing metadata and its index.
+    """
+    if lacks is None:
+        finished = END in recording.metadata and not recording.recovered
+        lacks = Lacks(dict(_uncounted(recording, recording.counts)), {}) if finished else find_lacks(recording)
+    if recording.complete and not str(lacks):
+        return ""
+    if recording.growing:
+        reason = f"its run goes on, and is recorded up to {recording.span[1]:g} s"
+    elif recording.damage:
+        reason = f"{recording.damage}, and read up to {recording.span[1]:g} s"
+    elif recording.recovered:
+        reason = f"cut short at {recording.span[1]:g} s, and read up to its last whole chunk"
+    else:
+        state = recording.metadata.get(END, {}).get("state", "")
+        ended = f"was {state} by {SIGNALS[state]}" if state in SIGNALS else "" if str(lacks) else "failed"
+        reason = ended and f"its run {ended}"
+    return "INCOMPLETE: " + "; ".join(filter(None, (reason, str(lacks))))
+
+
+# What a resumed or repeated run takes from a recording: control events, poses, settled cloth, earlier messages.
+
+SETTLED = "settled_from", "settled"
+"""Names of the arrays of `Loaded.settled` in `sim/fabric`."""
+CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
+"""Event topics of the services that answer control requests."""
+
+
+def control_events(recording: Recording) -> list[Event]:
+    """Return the control events of a run, in order: pause, resume, step, stop, set, add."""
+    return [event for event in recording.events() if event.kind == "control"]
+
+
+def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:
+    """Return `Loaded.recorded_poses` of a recording, up to a time [s]."""
+    marks, poses = recording.marks(), recording.messages([BODIES.name])
+    return {marks[m.log_time][0]: m.payload for m in poses if m.log_time in marks and m.t <= until + 1e-9}
+
+
+def settled_cloth(recording: Recording) -> tuple[Float, Float] | None:
+    """Return `Loaded.settled` of a recording."""
+    if not recording.counts.get(FABRIC.name):
+        return None
+    arrays, _ = recording.fabric(0.0)
+    start, x = (arrays.get(name, np.zeros(0)) for name in SETTLED)
+    return (start, x) if start.shape == x.shape and x.ndim == 2 and x.shape[1] == 3 else None
+
+
+def before_checkpoint(source: Recording | Path | None, topics: Iterable[str]) -> list[dict[str, Any]]:
+    """Return the JSON messages before the first frame of a run that resumes a recording, for its report."""
+    if source is None:
+        return []
+    with opened(source) as recording:
+        return [recording.said(message) for message in recording.messages(topics, end=recording.common_checkpoint().t)]
+
+
+def copy_until(recording: Recording, writer: RecordingWriter) -> None:
+    """Write all messages before the last checkpoint, and the checkpoint itself, which a resumed run has in common with
+    the recorded one.
+    """
+    checkpoint = recording.common_checkpoint()
+    for message in recording.messages():
+        earlier = message.t < checkpoint.t - 1e-9
+        # A change made at the checkpoint's frame comes after it.
+        same = message.t < checkpoint.t + 1e-9 and message.topic in (*CHECKPOINTS, *CONTROLS)
+        if message.topic != REPORT.name and (earlier or same):
+            header = Header(run="", service="", seq=message.seq, frame=0, t=message.t)
+            writer.write(message.topic, header, message.payload)

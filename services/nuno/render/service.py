@@ -13,10 +13,9 @@ import time
 from typing import Any
 
 from nuno.bus.encodings import BadMessage, decode_points, encode_picture
-from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import Query
+from nuno.bus.messages import Inbox, Message, Query
+from nuno.exports.yarns import Artist
 from nuno.recording.recorded import Frame
-from nuno.render.artist import Artist
 from nuno.runtime.service import Context, asks_to_finish, each_message
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PICTURE, STATE

@@ -12,12 +12,10 @@ from itertools import groupby
 import numpy as np
 
 from nuno.bus.encodings import BadMessage
-from nuno.recording.gaps import NOTHING, Lacks, find_lacks, shortcoming
-from nuno.recording.reader import Recording
+from nuno.recording.reader import NOTHING, Lacks, Recording, find_lacks, shortcoming
 from nuno.recording.recorded import Arrays, Recorded
-from nuno.runtime.resimulation import Resimulation
 from nuno.runtime.service import check_threads
-from nuno.runtime.stepper import Stepper
+from nuno.runtime.stepper import Resimulation, Stepper
 from nuno.scene.provenance import plugins, versions
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded

@@ -13,8 +13,7 @@ from typing import Any
 
 import zenoh
 
-from nuno.bus.messages import Bus
-from nuno.bus.query import Query
+from nuno.bus.messages import Bus, Query
 from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno.scene.provenance import CHANGE_RESULTS, assets, plugins, versions

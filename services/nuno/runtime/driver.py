@@ -14,13 +14,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.messages import Inbox, Message
-from nuno.bus.query import WAITING_AFTER, Query
+from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.recorded import Checkpoint
-from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
+from nuno.runtime.service import LOOK_SECONDS, Context, FrameWatchdog, ack_topic, asks_to_finish
 from nuno.runtime.stepper import Stepped, Stepper
-from nuno.runtime.watchdog import FrameWatchdog
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 
@@ -67,20 +65,64 @@ class Clock:
         return {"frames": self.frames, "late": self.late, "most": max(0.0, self.most)}
 
 
-# Messages of frames on the bus: their status, their arrays, and checkpoints.
+WINDOW = 4
+"""Frames that the steps may run ahead of a service that must see every frame."""
+SAID_AGAIN_AFTER = 60.0
+"""Shortest interval between two warnings of a run that waits repeatedly, as for a slow disk [s]."""
+CONTROL = "control"
+OF_FOLLOWERS = ("status", "add")
+STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
+"""State of a run after an action."""
+LEFT = "left"
+"""Status of a frame that was abandoned, since the run is to end."""
+OVER = ("stopped", "failed")
+"""States that end a run between two frames."""
+ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
 
 
-class FramePublisher(ABC):
-    """Publishes the frames of a stepper."""
+class Driver(ABC):
+    """Steps cloth or dye frame by frame, publishes it and replies to control requests."""
 
-    def __init__(self, context: Context, stepper: Stepper) -> None:
+    every = 1
+    """Interval of frames whose arrays are published."""
+
+    def __init__(
+        self, context: Context, stepper: Stepper, watchdog: FrameWatchdog, follows: Topic | None = None
+    ) -> None:
+        """`follows` is the topic of the leader's statuses, None for the leader; `watchdog` has run since the
+        preparation.
+        """
         self.context, self.stepper = context, stepper
         self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
         self.digest = stepper.digest()
         """Digest of the last published frame."""
-        self.paused_seconds = 0.0
         self.shown = self.kept = -1
         """Numbers of the last frame with published arrays, and of that of the last checkpoint."""
+        self.watchdog = watchdog
+        self.watchdog.holds = stepper.holds
+        self.watchdog.prepared()
+        self.before: Checkpoint | None = None
+        """State before an abandoned frame, if it was kept."""
+        self.abandoned = False
+        """Whether a frame was abandoned: the run cannot continue from the present state."""
+        self.scene, self.follows = context.loaded.scene, follows
+        self.due: list[int] = []
+        """Frames that the leader has finished and this service has not."""
+        self.state = "paused"
+        self.until: int | None = None
+        """Frame at which a run pauses again after the action `step`."""
+        self.finish: Query | None = None
+        self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
+        self.totals: dict[str, int] = {}
+        self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
+        self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
+        self.inbox = Inbox(context.bus, [follows or ack_topic("*")], on_query=self.watchdog.note_query)
+        self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
+        self.inbox.answer(f"finish/{context.bus.service}")
+        self.silent_until = 0.0
+        """Time of the next allowed warning that the run waits."""
+        self.answers: dict[str, Callable[[], bytes]] = {}
+        """Further queries that are answered between frames, by name."""
 
     @abstractmethod
     def publish_constant(self) -> None:
@@ -89,6 +131,10 @@ class FramePublisher(ABC):
     @abstractmethod
     def status_of(self, frame: Stepped) -> dict[str, Any]:
         """Return the fields of a frame's status that only this service has."""
+
+    @abstractmethod
+    def facts(self, ended: str) -> dict[str, Any]:
+        """Return the service's own part of `summary`, for the report."""
 
     def publish(self, frame: Stepped, show: bool) -> None:
         """Publish a frame's status, and before it its arrays if `show`."""
@@ -126,65 +172,6 @@ class FramePublisher(ABC):
             self.publish_arrays(text["digest"])
         self._put(self.stepper.kept, encode_arrays(arrays, text), text["digest"])
         self.kept = text["frame"]
-
-
-WINDOW = 4
-"""Frames that the steps may run ahead of a service that must see every frame."""
-SAID_AGAIN_AFTER = 60.0
-"""Shortest interval between two warnings of a run that waits repeatedly, as for a slow disk [s]."""
-CONTROL = "control"
-OF_FOLLOWERS = ("status", "add")
-STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
-"""State of a run after an action."""
-LEFT = "left"
-"""Status of a frame that was abandoned, since the run is to end."""
-OVER = ("stopped", "failed")
-"""States that end a run between two frames."""
-ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
-
-
-class Driver(FramePublisher):
-    """Steps cloth or dye frame by frame, publishes it and replies to control requests."""
-
-    every = 1
-    """Interval of frames whose arrays are published."""
-
-    def __init__(
-        self, context: Context, stepper: Stepper, watchdog: FrameWatchdog, follows: Topic | None = None
-    ) -> None:
-        """`follows` is the topic of the leader's statuses, None for the leader; `watchdog` has run since the
-        preparation.
-        """
-        super().__init__(context, stepper)
-        self.watchdog = watchdog
-        self.watchdog.holds = stepper.holds
-        self.watchdog.prepared()
-        self.before: Checkpoint | None = None
-        """State before an abandoned frame, if it was kept."""
-        self.abandoned = False
-        """Whether a frame was abandoned: the run cannot continue from the present state."""
-        self.scene, self.follows = context.loaded.scene, follows
-        self.due: list[int] = []
-        """Frames that the leader has finished and this service has not."""
-        self.state = "paused"
-        self.until: int | None = None
-        """Frame at which a run pauses again after the action `step`."""
-        self.finish: Query | None = None
-        self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
-        self.totals: dict[str, int] = {}
-        self.message, self.begin = "", stepper.t
-        self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
-        self.inbox = Inbox(context.bus, [follows or ack_topic("*")], on_query=self.watchdog.note_query)
-        self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
-        self.inbox.answer(f"finish/{context.bus.service}")
-        self.silent_until = 0.0
-        """Time of the next allowed warning that the run waits."""
-        self.answers: dict[str, Callable[[], bytes]] = {}
-        """Further queries that are answered between frames, by name."""
-
-    @abstractmethod
-    def facts(self, ended: str) -> dict[str, Any]:
-        """Return the service's own part of `summary`, for the report."""
 
     def step_frame(self) -> Stepped:
         """Step one frame and publish it."""

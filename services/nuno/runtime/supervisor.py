@@ -16,18 +16,15 @@ import zenoh
 
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus, Inbox, Message
-from nuno.bus.sessions import cut_off, hub_at, identity, spoke
-from nuno.bus.slow_consumers import SlowConsumers
+from nuno.bus.sessions import SlowConsumers, cut_off, hub_at, identity, spoke
 from nuno.formatting import counted
 from nuno.process import SIGNALS, state_of
 from nuno.runtime import launch, log, runs
 from nuno.runtime.consistency import check_premises
-from nuno.runtime.launch import FINISH_TIMEOUT
+from nuno.runtime.launch import FINISH_TIMEOUT, Plan, make_plan
 from nuno.runtime.outcome import Outcome
-from nuno.runtime.plan import Plan, make_plan
 from nuno.runtime.service import SUPERVISOR, Options
-from nuno.scene.coarse_scene import coarser
-from nuno.scene.scene_file import Loaded
+from nuno.scene.scene_file import Loaded, coarser
 from nuno.scene.warnings import scene_warnings
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, STATUSES, Event, FrameStatus, Topic

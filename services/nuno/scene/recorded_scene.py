@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nuno.process import scratch
-from nuno.recording.gaps import NOTHING, shortcoming
-from nuno.recording.reader import END, Recording, open_recording
-from nuno.recording.restore import recorded_poses, settled_cloth
+from nuno.recording.reader import END, NOTHING, Recording, open_recording, recorded_poses, settled_cloth, shortcoming
 from nuno.recording.writer import topic_of
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
+from nuno.plugin_contract import registry
 from nuno.process import check_compiler
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
-from nuno.scene.elsewhere import name_right_place
 from nuno.scene.files import SceneFiles
+from nuno.scene.json_schema import PLACES
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
-from nuno.scene.validation_errors import UNNUMBERED, explain, located
+from nuno.scene.validation_errors import NO_FIELD, UNNUMBERED, explain, located, models_in
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
@@ -23,6 +26,7 @@ from nuno_schemas.fabric import Float
 from nuno_schemas.operation import arranges
 from nuno_schemas.parts import AUTO, Choice, Solver
 from nuno_schemas.scene import ClothContact, Scene
+from nuno_schemas.written import Path as FieldPath
 
 FIRST, FIRST_DYE = "symplectic_euler", "explicit"
 """Solvers with the cheapest step, from which `auto` starts."""
@@ -255,3 +259,88 @@ def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fi
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,
         yarn_picture=chosen("nuno.yarn_pictures", scene.view.yarns, ("view", "yarns")) if scene.view.yarns else None,
     )
+
+
+# The coarse version of a scene, in which its cloth comes to rest first.
+
+SPEED = 2e-3
+"""Speed below which cloth rests [m/s], unless the scene has one."""
+
+
+def coarser(loaded: Loaded) -> Loaded | None:
+    """Return the scene with its models on fewer vertices, until rest; None where no model allows that."""
+    models = list(loaded.models)
+    for i, model in enumerate(models):
+        make_coarser = getattr(model.plugin, "coarser", None)
+        config = make_coarser(model.config) if make_coarser else None
+        models[i] = model if config is None else replace(model, config=config)
+    if models == loaded.models:
+        return None
+    kept = [i for i, operation in enumerate(loaded.operations) if arranges(operation.plugin)]
+    operations = [loaded.scene.operations[i] for i in kept]
+    speed = loaded.scene.rest_speed or SPEED
+    update = {"until": "rest", "rest_speed": speed, "operations": operations, "dye": None}
+    scene = loaded.scene.model_copy(update=update)
+    return replace(loaded, scene=scene, models=models, operations=[loaded.operations[i] for i in kept], dye=None)
+
+
+# The right place of a misplaced field, such as the colour of an object inside its model.
+
+DEEPEST = 4
+"""Most levels of nested fields that are searched."""
+MOST = 2
+"""Most places that an error names: more would not help."""
+
+
+@contextmanager
+def name_right_place(data: Any) -> Iterator[None]:
+    """Add the places that have a field of this name to the error of an unknown field."""
+    try:
+        yield
+    except BadInput as error:
+        place, _, name = (error.field or "").rpartition(".")
+        places = belongs(name, place, data) if error.problem == NO_FIELD else []
+        if not places:
+            raise
+        raise replace(error, remedy=f"it is a field of {' or '.join(places)}: move it there") from None
+
+
+def belongs(name: str, place: str, data: Any) -> list[str]:
+    """Return the parts of a scene nearest to a place that have a field of this name; [] if there are many."""
+    distances: dict[str, int] = {}
+    here = place.split(".") if place else []
+    for path, fields in _nested_parts((Scene,), data if isinstance(data, dict) else {}, ()):
+        if name in fields and dotted(path) != place:
+            parts = dotted(path).split(".") if path else []
+            shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(here, parts, strict=False)))
+            distances[dotted(path) or "the scene itself"] = len(here) + len(parts) - 2 * shared
+    nearest = [path_text for path_text, distance in distances.items() if distance == min(distances.values())]
+    return nearest if len(nearest) <= MOST else []
+
+
+def _nested_parts(
+    models: tuple[type[BaseModel], ...], data: dict[str, Any], path: FieldPath
+) -> Iterator[tuple[FieldPath, set[str]]]:
+    """Yield the path of each mapping that a scene has, or could have, and its possible fields."""
+    fields = {name: (model, field) for model in models for name, field in model.model_fields.items()}
+    yield path, set(fields)
+    if len(path) >= DEEPEST:
+        return
+    for name, (model, information) in fields.items():
+        value, group = data.get(name), PLACES.get((model.__name__, name))
+        models_inside = models_in(information.annotation)[:1]
+        items = list(enumerate(value)) if isinstance(value, list) else [(None, value)]
+        for number, item in items:
+            inner = (*path, name) if number is None else (*path, name, number)
+            if group and isinstance(item, dict):
+                yield from _nested_parts((*models_inside, *_config_of(group, item)), item, inner)
+            elif models_inside and not group and isinstance(item, dict | None):
+                yield from _nested_parts(tuple(models_inside), item or {}, inner)
+
+
+def _config_of(group: str, choice: dict[str, Any]) -> list[type[BaseModel]]:
+    """Return the configuration class of the named plugin; [] if there is no such plugin."""
+    try:
+        return [registry.load(group, str(choice.get("plugin"))).Config]
+    except BadInput:
+        return []

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.simulation.cloth.build import Piece
+from nuno.simulation.cloth import Piece
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.scene import Fading, Scene
 from nuno_schemas.system import System

@@ -2,41 +2,54 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import decode_points, encode_points
 from nuno.collision.bodies import build_bodies
+from nuno.collision.distance import body_distances
 from nuno.collision.messages import decode_poses
+from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Arrays, Checkpoint
-from nuno.runtime.stepper import Stepped, copy_into, fitting, hash_of
+from nuno.runtime.stepper import Stepped, Stepper, copy_into, fitting, hash_of
+from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.override import apply_override, overridden, parts_of
-from nuno.scene.scene_file import Loaded, load
+from nuno.scene.scene_file import Loaded, coarser, load
 from nuno.scene.step import choose_step, find_limit
-from nuno.simulation.changing import Changing
-from nuno.simulation.cloth import build
-from nuno.simulation.cloth.numbering import renumber, require_any_numbering
-from nuno.simulation.coarse_start import settle
+from nuno.simulation import cloth
+from nuno.simulation.cloth import build_fabric, join_fabrics
 from nuno.simulation.costs import Costs, FrameStart, Stage
 from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
-from nuno.simulation.operations import carry
+from nuno.simulation.operations import carry, fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
+from nuno.simulation.renumbering import (
+    RenumberedSolver,
+    find_numbers,
+    invert,
+    keep_numbers,
+    renumber,
+    require_any_numbering,
+    takes_any_numbering,
+)
 from nuno.simulation.solver_selection.cloth import decide
 from nuno_schemas.bodies import Geometry, Poses
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Int, State
+from nuno_schemas.errors import BadInput, RunFailed, nearest
+from nuno_schemas.fabric import Fabric, Float, Int, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
-from nuno_schemas.operation import arranges
+from nuno_schemas.operation import Outcome, arranges
+from nuno_schemas.plugin import Rested
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 
 SETTABLE = ("gravity", "damping", "forces")
@@ -47,7 +60,7 @@ ENERGY = "energy"
 """Name of the array `EnergyGrowth.account` in a checkpoint."""
 
 
-class Simulation(Changing):
+class Simulation(Stepper):
     """A scene's cloth, its solver and its state.
 
     `poses` are those of the bodies now, and `find_poses` returns those at the end of a frame, by its number; by default
@@ -57,6 +70,13 @@ class Simulation(Changing):
     part, service = "cloth", "simulation"
     status, published, kept = STATUS, STATE, CHECKPOINT
     quantities = MappingProxyType({"x": "position", "v": "velocity"})
+
+    numbers: Int | None
+    """(n,) the vertex at each position of the stepped fabric, None where that keeps the user's order."""
+    applied: int
+    """Number of the scene's operations that have been applied."""
+    rested: Sequence[Rested]
+    """Coarse state at rest of each object, empty where the scene has none."""
 
     def __init__(
         self, loaded: Loaded, geometry: Geometry | None, poses: Poses | None, threads: int,
@@ -68,7 +88,7 @@ class Simulation(Changing):
         simulate = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
         settled = settle(self.loaded, simulate)
         self.rested = settled.objects
-        self.fabric, self.pieces, arranged = build.build_with_facts(self.loaded, geometry, poses, self.rested)
+        self.fabric, self.pieces, arranged = cloth.build_with_facts(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled.facts, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
@@ -77,7 +97,7 @@ class Simulation(Changing):
         self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
         self.body_notes: tuple[str, ...] = ()
         self.begin_unchanged()
-        self.state: State = build.start_state(self.fabric)
+        self.state: State = cloth.start_state(self.fabric)
         self.frame, self.balanced = 0, False
         """Whether the cloth of a scene until balance is balanced."""
         self.costs = Costs()
@@ -113,13 +133,15 @@ class Simulation(Changing):
         return simulation
 
     def _prepare(self, arrays: dict[str, NDArray[Any]], source: Int | None = None) -> None:
-        """Build system, step and memory from the scene, as in `Changing`."""
+        """Build system, step and memory from the scene; `arrays` is solver memory to keep, and `source` (n,) the former
+        position of each vertex, in the order of the steps.
+        """
         fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
         self._still, self.growth = False, None
-        system = build.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
+        system = cloth.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
         self.system = replace(system, leave=self.leave)
         # The limit comes before the solver's memory: both at once would be a run's peak.
-        start = self.state if self.frame == 0 or self.changes else build.start_state(self.fabric)
+        start = self.state if self.frame == 0 or self.changes else cloth.start_state(self.fabric)
         self.limit = find_limit(self.loaded, self.solver.plugin, self.system, start)
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
@@ -376,9 +398,297 @@ class Simulation(Changing):
             raise BadInput(problem, field=key, value=f"{step[1]:g} s", limit=error.limit, remedy=remedy) from None
         # The step is kept: `dt: auto` might choose another one for the changed scene.
         changed.steps, changed.dt = step
-        self.become(changed)
+        # A change that is refused has altered only the copy.
+        vars(self).update(vars(changed))
+
+    @property
+    def solver(self) -> Chosen:
+        """The scene's integrator; it takes states in the user's order."""
+        chosen, numbers = self.loaded.integrator, self.numbers
+        return chosen if numbers is None else replace(chosen, plugin=RenumberedSolver(chosen.plugin, numbers))
+
+    def begin_unchanged(self) -> None:
+        """Start with the cloth of the scene, before any operation."""
+        self.numbers = find_numbers(self.fabric, self.pieces) if takes_any_numbering(self.loaded) else None
+        self.changes: list[dict[str, Any]] = []
+        """Changes by operations, in order: frame, t [s], operation, object and its facts."""
+        self.applied = 0
+        self.crests: list[Int] = []
+        """(5, c) for each change, the vertices of its object that measure its height: on the line, to the left and to
+        the right of it, and before and after on it; c may be 0."""
+        self._fabrics: list[Fabric] | None = None
+        scene = self.loaded.scene
+        names = [spec.name for spec in scene.objects]
+        for i, (applied, chosen) in enumerate(zip(scene.operations, self.loaded.operations, strict=True)):
+            try:
+                if hasattr(chosen.plugin, "require"):
+                    chosen.plugin.require(chosen.config, self.parts()[names.index(applied.object or names[0])])
+            except BadInput as error:
+                raise self.loaded.at(f"operations[{i}]", error) from None
+
+    def add(self, item: str) -> str:
+        """Apply an operation, `wrinkle: {...}`, at once; return the text that repeats it. Raises BadInput."""
+        index, chosen, item = parse(item, self.loaded)
+        self._alter(index, chosen)
+        return item
+
+    def due(self, frame: int) -> int:
+        """Return the number of the scene's operations whose time is at most that of `frame`."""
+        rate = self.loaded.scene.frame_rate
+        return sum(round(float(applied.at) * rate) <= frame for applied in self.loaded.scene.operations)
+
+    def alter_due(self) -> bool:
+        """Apply the scene's operations that are due; return whether there were any. Raises BadInput."""
+        scene, before = self.loaded.scene, self.applied
+        order = sorted(range(len(scene.operations)), key=lambda i: float(scene.operations[i].at))
+        names = [spec.name for spec in scene.objects]
+        for i in order[before : self.due(self.frame)]:
+            name = scene.operations[i].object or names[0]
+            try:
+                if not arranges(self.loaded.operations[i].plugin):  # an arrangement is built into the cloth
+                    self._alter(names.index(name), self.loaded.operations[i])
+            except BadInput as error:
+                raise self.loaded.at(f"operations[{i}]", error) from None
+            self.applied += 1
+        return self.applied > before
+
+    def rehearse(self) -> None:
+        """Compile the kernels that later operations need, by applying each to a copy of the present cloth: the run does
+        not wait for the compiler then. The same holds for an attachment to a body that another program moves.
+
+        An operation that would be refused now is skipped.
+        """
+        scene = self.loaded.scene
+        names = [spec.name for spec in scene.objects]
+        for applied, chosen in zip(scene.operations, self.loaded.operations, strict=True):
+            if round(float(applied.at) * scene.frame_rate) <= self.frame:
+                continue
+            trial = copy(self)
+            with contextlib.suppress(BadInput):
+                trial._alter(names.index(applied.object or names[0]), chosen)
+                trial.measure(self.poses)
+        if self.loaded.live and (free := np.flatnonzero(~self.parts()[0].pinned)).size:
+            trial = copy(self)
+            with contextlib.suppress(BadInput):
+                trial.add(f"attach: {{body: {json.dumps(self.loaded.live[0])}, vertices: [{free[0]}]}}")
+                trial.measure(self.poses)
+
+    def parts(self) -> list[Fabric]:
+        """Return the present fabric of each object."""
+        if len(self.pieces) == 1:
+            return [self.fabric]
+        if self._fabrics is None:  # joined fabrics are copies: parts are kept only where one changes
+            self._fabrics = cloth.build_fabrics(self.loaded, self.geometry, self.start_poses, self.rested)
+        return self._fabrics
+
+    def _alter(self, index: int, chosen: Chosen) -> None:
+        """Apply an operation to one object; a refused one changes nothing. Raises BadInput."""
+        piece, fabrics = self.pieces[index], list(self.parts())
+        vertices = slice(piece.start, piece.stop)
+        state = State(self.state.x[vertices].copy(), self.state.v[vertices].copy(), self.state.t)
+        outcome = self._apply(chosen, fabrics[index], state)
+        changed_cloth = outcome.changed
+        if changed_cloth is None:
+            raise BadInput("the operation changed nothing", value=chosen.name)
+        fabrics[index] = changed_cloth.fabric
+        moved = np.where(changed_cloth.source >= 0, changed_cloth.source + piece.start, -1)
+        source = np.concatenate([np.arange(piece.start), moved, np.arange(piece.stop, self.fabric.number)])
+        x, v = (
+            np.concatenate([old[: piece.start], new, old[piece.stop :]])
+            for old, new in ((self.state.x, changed_cloth.state.x), (self.state.v, changed_cloth.state.v))
+        )
+        change = {"frame": self.frame, "t": self.t, "operation": chosen.name, "object": piece.name}
+        changed = copy(self)
+        changed.changes = [*self.changes, change | {"facts": dict(outcome.facts)}]
+        changed.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
+        try:
+            changed._take(fabrics, State(x, v, self.state.t))
+            if self.numbers is not None:
+                changed.numbers = keep_numbers(self.numbers, source, changed.pieces)
+                before = source[changed.numbers]
+                source = np.where(before >= 0, invert(self.numbers)[before], -1)
+            changed._prepare(self.memory.arrays, source.astype(np.int32))
+        except BadInput as error:
+            if error.field != "solver.dt":
+                raise
+            problem = "the changed cloth would make the present step unstable"
+            remedy = "solver: {dt: auto}, a smaller dt, a line of fewer small triangles, or springs: paper"
+            raise BadInput(problem, value=f"{self.dt:g} s", limit=error.limit, remedy=remedy) from None
+        # A step never grows during a run, and changed cloth is no longer at rest.
+        if self.steps > changed.steps:
+            changed.steps, changed.dt = self.steps, self.dt
+        changed.stillness.begin(changed.state.x)
+        changed.balanced = False
+        changed.changes[-1]["measured"] = [changed.heights(len(changed.changes) - 1)]
+        # A change that is refused has altered only the copy.
+        vars(self).update(vars(changed))
+
+    def _apply(self, chosen: Chosen, fabric: Fabric, state: State) -> Outcome:
+        """Return the outcome of an operation on one object, and on the body that it names. Raises BadInput."""
+        if not hasattr(chosen.plugin, "apply_beside"):
+            outcome: Outcome = chosen.plugin.apply(chosen.config, fabric, state, None)
+            return outcome
+        name, bodies = chosen.plugin.body(chosen.config), [body.name for body in self.loaded.scene.bodies]
+        if name not in bodies or self.geometry is None or self.poses is None:
+            remedy = nearest(name, bodies) if bodies else "give the scene the body"
+            raise BadInput("there is no such body", field="body", value=name, remedy=remedy)
+        outcome_on_body: Outcome = chosen.plugin.apply_beside(
+            chosen.config, fabric, state, body_distances(state.x, self.geometry, self.poses, name)
+        )
+        return outcome_on_body
+
+    def heights(self, number: int) -> dict[str, float]:
+        """Return the mean height of a raised line over the chord across it, along the normal to chord and line, and the
+        length of that chord [m]; empty for a change without crests. Both follow the moving cloth.
+        """
+        crest = self.crests[number]
+        if not crest.size:
+            return {}
+        start = next(piece.start for piece in self.pieces if piece.name == self.changes[number]["object"])
+        top, one, other, before, after = self.state.x[start + crest]
+        normal = np.cross(other - one, after - before)
+        height = np.abs(np.einsum("ck,ck->c", top - one, normal)) / np.linalg.norm(normal, axis=1)
+        return {"height": float(height.mean()), "width": float(np.linalg.norm(other - one, axis=1).mean())}
+
+    def wrinkles(self) -> dict[str, float]:
+        """Return `heights` of all changes, as 0_height, 0_width and so on."""
+        heights = ((i, self.heights(i)) for i in range(len(self.changes)))
+        return {f"{i}_{name}": value for i, values in heights for name, value in values.items()}
+
+    def _take(self, fabrics: list[Fabric], state: State) -> None:
+        """Replace the objects by these fabrics, in `state`."""
+        self._fabrics = fabrics if len(fabrics) > 1 else None
+        self.fabric = join_fabrics(fabrics, self.loaded.scene.name)
+        self.pieces = cloth.place_pieces(self.loaded, fabrics)
+        self.state = state
+
+    def altered(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return arrays and text for a checkpoint: the changed objects, and the order of vertices in the steps."""
+        names = [piece.name for piece in self.pieces]
+        changed = sorted({names.index(change["object"]) for change in self.changes})
+        fabrics = self.parts() if changed else []
+        arrays = {f"fabric/{i}/{name}": a for i in changed for name, a in fabric_arrays(fabrics[i]).items()}
+        arrays |= {f"fabric/crests/{i}": crest for i, crest in enumerate(self.crests)}
+        if self.numbers is not None:
+            arrays[NUMBERS] = self.numbers
+        origins = {str(i): dict(fabrics[i].origin) for i in changed}
+        bound = {str(i): frames_bound(fabrics[i]) for i in changed}
+        return arrays, {"changes": self.changes, "applied": self.applied, "origins": origins, "bound": bound}
+
+    def adopt(self, point: Checkpoint) -> None:
+        """Take objects and step from a checkpoint that `altered` was written to. Raises BadInput."""
+        with fitting(self.loaded):
+            names = (name for name in point.arrays if name == NUMBERS or name.startswith("fabric/"))
+            rebuilt = self._adopt({name: point.arrays[name].copy() for name in names}, deepcopy(point.text))
+        if rebuilt:
+            self._prepare({})
+            self.steps, self.dt = int(point.text["steps"]), float(point.text["dt"])
+
+    def _adopt(self, arrays: dict[str, NDArray[Any]], text: dict[str, Any]) -> bool:
+        """Return whether the stepped fabric is another now. Any error may show a broken checkpoint."""
+        origins: dict[str, dict[str, float]] = text.get("origins", {})
+        # The solver's memory is in the order of the recording's steps, the user's where that has no numbers.
+        before, self.numbers = self.numbers, arrays.get(NUMBERS)
+        if origins:
+            self._adopt_fabrics(arrays, text, origins)
+        elif np.array_equal(cast(Any, before), cast(Any, self.numbers)):  # so is None to None
+            return False
+        if self.numbers is not None:
+            check_array(NUMBERS, self.numbers, np.int32, (self.fabric.number,))
+            if not np.array_equal(np.sort(self.numbers), np.arange(self.fabric.number)):
+                raise ContractError(f"{NUMBERS} does not name each vertex once")
+        return True
+
+    def _adopt_fabrics(
+        self, arrays: dict[str, NDArray[Any]], text: dict[str, Any], origins: dict[str, dict[str, float]]
+    ) -> None:
+        self.applied = int(text["applied"])
+        fabrics = list(self.parts())
+        for number, origin in origins.items():
+            fabric_values = {n.split("/", 2)[2]: a for n, a in arrays.items() if n.startswith(f"fabric/{number}/")}
+            bound = text.get("bound", {}).get(number, frames_bound(fabrics[int(number)]))
+            fabrics[int(number)] = fabric_from(fabric_values, fabrics[int(number)], origin, bound)
+            from nuno.plugin_contract.guards import check_fabric  # it imports the types of all plugins, dye's too
+
+            check_fabric(fabrics[int(number)])
+        sizes = {piece.name: fabric.number for piece, fabric in zip(self.pieces, fabrics, strict=True)}
+        self.changes = list(text["changes"])
+        self.crests = [arrays[f"fabric/crests/{i}"] for i in range(len(self.changes))]
+        for i, (change, crest) in enumerate(zip(self.changes, self.crests, strict=True)):
+            check_array(f"fabric/crests/{i}", crest, np.int32, (5, None), Bounds(0, sizes[change["object"]] - 1))
+        self._take(fabrics, cloth.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
 
 
 def _has_adaptive_damping(loaded: Loaded) -> bool:
     """Return whether damping is adaptive."""
     return loaded.scene.damping == "auto"
+
+
+# A simulation whose cloth is changed by operations while it runs.
+
+NUMBERS = "numbers"
+"""Name of the array `Simulation.numbers` in a checkpoint."""
+
+
+# A coarse start: cloth comes to rest on fewer vertices first, where its model allows that. A frame of a garment at
+# half the length of edges takes five to ten times as long, and the motion that is left from the coarse rest is small.
+#
+# Meshes of several sizes also agree better so: friction holds cloth where it came to lie, and meshes that start apart
+# hang differently by as much as friction bears.
+
+LONGEST = 6.0
+"""Longest time of the coarse start [s], after which its state is taken even in motion. It does not depend on the
+scene's duration, so that a run that is resumed for longer has the same start."""
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Coarse state at rest of each object, and the facts for the report; both are empty where no model asks for it."""
+
+    objects: tuple[Rested, ...] = ()
+    facts: tuple[dict[str, Any], ...] = ()
+
+
+def settle(loaded: Loaded, simulate: Callable[[Loaded], Simulation]) -> Settled:
+    """Let a scene come to rest on fewer vertices, while its bodies stand where they start.
+
+    Raises BadInput where these vertices are too few, or a force knows vertices by number, and RunFailed where a step
+    fails.
+    """
+    coarse = coarser(loaded)
+    if coarse is None:
+        return Settled()
+    stops = np.cumsum([model.plugin.count(model.config, coarse.files) for model in coarse.models]).tolist()
+    if loaded.settled is not None and len(loaded.settled[0]) == stops[-1]:
+        return Settled(_split(coarse, stops, *loaded.settled))
+    coarsened = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
+    if not takes_any_numbering(loaded):
+        error_of_force = BadInput("a force knows vertices by number: on coarser triangles they are others",
+                            remedy="leave it out")  # fmt: skip
+        raise loaded.at(f"objects[{coarsened}].model.coarse", error_of_force)
+    begin = time.perf_counter()
+    try:
+        simulation = simulate(coarse)
+    except BadInput as error:
+        if not (error.field or "").startswith(("objects", "cloth_contact")):
+            raise
+        build_fabric(loaded)  # raises for faults at any size of triangles
+        remedy, value = "make their sides shorter, or leave it out", loaded.models[coarsened].given.get("coarse")
+        problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
+        raise loaded.at(f"objects[{coarsened}].model.coarse", problem) from error
+    while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
+        report = simulation.step().report
+        if report.status != "ok":
+            raise RunFailed(f"on coarser triangles, frame {simulation.frame}: {report.message or report.status}")
+    facts = {
+        "vertices": float(simulation.fabric.number), "frames": float(simulation.frame),
+        "rested": float(simulation.stillness.rests), "seconds": time.perf_counter() - begin,
+    }  # fmt: skip
+    objects = _split(coarse, stops, simulation.fabric.position, simulation.state.x)
+    return Settled(objects, ({"operation": "coarse", "object": "", "facts": facts},))
+
+
+def _split(coarse: Loaded, stops: list[int], start: Float, x: Float) -> tuple[Rested, ...]:
+    """Split the start and the rest of all vertices (n, 3) [m] by object."""
+    bounds = zip(coarse.models, [0, *stops[:-1]], stops, strict=True)
+    return tuple(Rested(model.config, start[a:b].copy(), x[a:b].copy()) for model, a, b in bounds)

@@ -16,15 +16,12 @@ import zenoh
 from nuno.bus.encodings import BadMessage
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
-from nuno.simulation.cloth import build
+from nuno.simulation import cloth
 from nuno.studio import scenes
-from nuno.studio.draw.keep import Trial
-from nuno.studio.live_view.follower import Follower
-from nuno.studio.live_view.snapshot import NO_FACES, NO_POINTS, Board, Sight
-from nuno.studio.live_view.sources import see_objects
-from nuno.studio.pages.guard import Refused
-from nuno.studio.pages.server import NOT_FOUND, whole
-from nuno.studio.pages.worker import Workshop
+from nuno.studio.draw import Trial
+from nuno.studio.live_view import NO_FACES, NO_POINTS, Board, Follower, Sight, see_objects
+from nuno.studio.processes import Workshop
+from nuno.studio.server import NOT_FOUND, Refused, whole
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
 
@@ -82,7 +79,7 @@ class Starts:
 
 def _build(*text: Any) -> tuple[Sight, Fabric, list[Fabric]]:
     loaded = scenes.load(*text)
-    build.check_memory(loaded)
+    cloth.check_memory(loaded)
     return see_objects(loaded)
 
 

@@ -17,19 +17,18 @@ from nuno.scene import edit, yaml_lines
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
-from nuno.studio import arrivals, paint, scenes
+from nuno.studio import dye, scenes
 from nuno.studio.cloth import Starts
-from nuno.studio.draw.append import MARK, read_text
-from nuno.studio.dyed import Dyed, cloth_of, worn
+from nuno.studio.dropped_files import MOST
+from nuno.studio.dye import Dyed, cloth_of, worn
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.lines import Drawing
-from nuno.studio.pages.command_process import Child
-from nuno.studio.pages.guard import Refused
-from nuno.studio.pages.server import NOT_FOUND, Server, Take
-from nuno.studio.pages.worker import Workshop
+from nuno.studio.processes import Child, Workshop
 from nuno.studio.recordings import Recordings, run_of
 from nuno.studio.run import Run
+from nuno.studio.scenes import MARK, read_text
 from nuno.studio.screen import Screen
+from nuno.studio.server import NOT_FOUND, Refused, Server, Take
 from nuno_schemas.dyeing import PRESETS, DyeColour
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Preset
@@ -120,7 +119,7 @@ def swatches() -> dict[str, Any]:
     """
     model = registry.offering("nuno.models", "presets", "lists fabrics")
     return {
-        "dyes": {name: _shades(dye.fields.get("colour", {})) for name, dye in PRESETS.items()},
+        "dyes": {name: _shades(preset.fields.get("colour", {})) for name, preset in PRESETS.items()},
         "fabrics": {preset.name: _feel(preset) for preset in model.presets()},
     }
 
@@ -189,7 +188,7 @@ class Desk:
             "dyed": self.screen.dyed,
         }
         threading.Thread(target=self._begin_building, daemon=True).start()
-        return Server("nuno.studio", self.act, resources, Take(self.files.take, arrivals.MOST))
+        return Server(self.act, resources, Take(self.files.take, MOST))
 
     def _begin_building(self) -> None:
         """Start the process that builds cloth, which takes seconds, before a scene is opened."""
@@ -359,10 +358,10 @@ class Desk:
         text, path = self._text(request)
         cells, _, _ = cloth_of(self._loaded(request))
         if request.get("live"):
-            return self._control({"action": "add", "item": paint.live_item_of(request, cells)})
-        item, picture = paint.item_of(request, cells, path, self._own_file(path))
+            return self._control({"action": "add", "item": dye.live_item_of(request, cells)})
+        item, picture = dye.item_of(request, cells, path, self._own_file(path))
         try:
-            after = paint.put(text, item, path.name)
+            after = dye.put(text, item, path.name)
             # Building the cloth refuses items that lie beside it, before they are in the text.
             cloth_of(scenes.load(after, path, self.scenes.roots))
         except BadInput:

@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import origin_of
+from nuno.collision.bodies import NO_SURFACES, Surfaces
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.collision.surfaces import NO_SURFACES, Surfaces
-from nuno.exports.cloth import ShownPiece, check_size, cut_pieces, read_texture
+from nuno.exports.cloth import PLAIN, ShownPiece, as_png, check_size, cut_pieces, read_texture
 from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
-from nuno.exports.paint import PLAIN, as_png
-from nuno.exports.shapes import sample
-from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import Recording, open_recording
+from nuno.exports.meshes import sample
+from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.recording.recorded import Frame, Recorded
-from nuno.studio.live_view.snapshot import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS
-from nuno.studio.live_view.sources import draw_bodies, size_of
+from nuno.studio.live_view import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS, draw_bodies, size_of
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

@@ -10,13 +10,12 @@ from typing import Any
 
 from nuno.bus.encodings import BadMessage
 from nuno.scene.scene_file import Loaded
+from nuno.studio import draw
 from nuno.studio.cloth import Start, Starts
-from nuno.studio.draw import keep
-from nuno.studio.draw.lines import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, to_obj
-from nuno.studio.draw.shown import require_lines
-from nuno.studio.live_view.snapshot import Sight
-from nuno.studio.pages.server import describe
+from nuno.studio.draw import Stroke, by_object, line_at, piece_of, pieces_of, read_strokes, require_lines, to_obj
+from nuno.studio.live_view import Sight
 from nuno.studio.run import Run
+from nuno.studio.server import describe
 from nuno_schemas.errors import BadInput, RunFailed
 
 # Errors name the line of the page that they are about.
@@ -60,7 +59,7 @@ class Drawing:
         start = self._start(request)
         strokes, sight = read_strokes(request.get("lines"), start.sight), start.sight
         for which in pieces_of(strokes, sight).values():
-            (operation,) = keep.as_operations(by_object([strokes[i] for i in which], sight), request.get("settings"))
+            (operation,) = draw.as_operations(by_object([strokes[i] for i in which], sight), request.get("settings"))
             try:
                 start.trial.apply(operation)
             except BadInput as error:
@@ -71,7 +70,7 @@ class Drawing:
         start = self._start(request)
         strokes = read_strokes(request.get("lines"), start.sight)
         lines = {exact: by_object(strokes, start.sight, exact) for exact in (True, False)}
-        return keep.with_lines(text, start.loaded.path.name, start.sight, lines, request.get("settings"), load)
+        return draw.with_lines(text, start.loaded.path.name, start.sight, lines, request.get("settings"), load)
 
     def export(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
         """Return the lines as the text of an OBJ file, which the browser saves. Raises BadInput."""
@@ -87,7 +86,7 @@ class Drawing:
         refused: dict[str, Any] = {}
         applied: list[int] = []
         for which in pieces_of(strokes, sight).values():
-            (item,) = keep.as_items(by_object([strokes[i] for i in which], sight), request.get("settings"))
+            (item,) = draw.as_items(by_object([strokes[i] for i in which], sight), request.get("settings"))
             try:
                 run.control("add", item=item)
             except BadInput as error:

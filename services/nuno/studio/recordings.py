@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nuno.recording.gaps import shortcoming
-from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
-from nuno.report.show import recorded_lines
+from nuno.report.run_report import recorded_lines
 from nuno.runtime import log, runs
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import restored_scene
-from nuno.studio.pages.command_process import Child
+from nuno.studio.processes import Child
 from nuno_schemas.errors import BadInput
 
 PICTURE = ".png"

@@ -18,8 +18,8 @@ from nuno.bus.sessions import spoke
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
 from nuno.studio.cloth import Live
-from nuno.studio.live_view.follower import EVENTS, SAYS, order
-from nuno.studio.pages.command_process import Child
+from nuno.studio.live_view import EVENTS, SAYS, order
+from nuno.studio.processes import Child
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import DYE_STATUS, EVENT, STATUS, Event, FrameStatus
 from nuno_schemas.scene import Scene

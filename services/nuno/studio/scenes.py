@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-from collections.abc import Mapping
+import shutil
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +17,16 @@ import numpy as np
 from nuno.api.plan import Row, describe
 from nuno.collision.bodies import build_bodies
 from nuno.formatting import for_json
+from nuno.process import check_unprotected
+from nuno.recording.writer import part_of
 from nuno.scene import edit, scene_file, shipped, yaml_lines
+from nuno.scene.edit import put
 from nuno.scene.override import item_at
 from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
-from nuno.simulation.cloth.build import drawn_over, frame_of, no_body
-from nuno.studio.draw.append import read_text, write_whole
-from nuno.studio.pages import server
+from nuno.simulation.cloth import drawn_over, frame_of, no_body
+from nuno.studio import server
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding
 
@@ -210,3 +214,51 @@ def schema() -> bytes:
     from nuno.scene.json_schema import scene_schema
 
     return json.dumps(scene_schema(), separators=(",", ":")).encode()
+
+
+# A scene's file: reading its exact text, adding items to its lists, and replacing it atomically.
+
+MARK = "\ufeff"
+"""A byte order mark, which some editors write at the start of a file."""
+
+
+def read_text(path: Path) -> str:
+    """Return a file's exact text, with line ends and byte order mark. Raises BadInput."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
+
+
+def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
+    """Return a scene's text with `items` at the end of the list `field`, which may be missing. Raises BadInput."""
+    present = yaml_lines.parse(text, file)[0].get(field)
+    if present is not None and not isinstance(present, list):
+        raise BadInput("this is no list that lines can be added to", file, field=field, remedy="write it as a list")
+    for number, item in enumerate(items, len(present or ())):
+        text = put(text, (field, number), item, file)
+    return text
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Replace a file's text completely, or leave it unchanged. Raises BadInput.
+
+    The text is written to a file next to it, flushed to the disk, and renamed; permissions are kept, links followed.
+    """
+    path = path.resolve()
+    check_unprotected(path)
+    part = part_of(path)
+    try:
+        with part.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists():
+            shutil.copymode(path, part)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        remedy = "choose a folder that can be written, or export the lines"
+        raise BadInput(f"cannot be written: {error.strerror}", str(path), remedy=remedy) from None

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from nuno.scene.edit import flow
 from nuno.scene.files import stamp_of
 from nuno.studio.film import Film, Still
-from nuno.studio.live_view.snapshot import SAID, about, pack
-from nuno.studio.pages.guard import Refused
-from nuno.studio.pages.server import BAD_REQUEST, NOT_FOUND, whole
+from nuno.studio.live_view import SAID, about, pack
 from nuno.studio.recordings import Recordings
+from nuno.studio.server import BAD_REQUEST, NOT_FOUND, Refused, whole
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.written import Path as Place

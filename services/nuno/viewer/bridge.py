@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
-from nuno.exports.cloth import cut_pieces
-from nuno.exports.paint import INSET
+from nuno.exports.cloth import INSET, cut_pieces
 from nuno.formatting import duration
-from nuno.simulation.cloth.yarns import SPAN
+from nuno.simulation.yarns import SPAN
 from nuno.viewer import layout
-from nuno.viewer.bodies import BodiesView
-from nuno.viewer.cloth import Cloth, ReadImage, read_image
+from nuno.viewer.cloth import BodiesView, Cloth, ReadImage, read_image
 from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.layout import BACKGROUND
 from nuno_schemas.colour import colours, to_srgb

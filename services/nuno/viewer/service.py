@@ -13,8 +13,7 @@ from nuno.exports.cloth import find_named
 from nuno.runtime.service import Context, each_message
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
-from nuno.viewer.live import LiveView
-from nuno.viewer.require import require
+from nuno.viewer.live import LiveView, require
 from nuno.viewer.stream import scene_of
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, STATE, TOPICS, Topic

@@ -1,6 +1,6 @@
 """Files that a scene names, each read by the plugin that a scene would give it to.
 
-The results of a plugin are checked against the contract of its kind (`nuno.plugin_contract.results`), as those of
+The results of a plugin are checked against the contract of its kind (`nuno.plugin_contract.guards`), as those of
 foreign plugins are.
 """
 
@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from nuno.plugin_contract import registry, results
+from nuno.plugin_contract import guards as results
+from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from soak.fuzz.containers import ARRAYS, IMAGE, mutate_glb
 from soak.fuzz.kind import TAU3, Kind, Read, require, require_finite

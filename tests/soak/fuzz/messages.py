@@ -13,15 +13,13 @@ from typing import Any
 import yaml
 
 from nuno.bus.encodings import BadMessage, encode_picture
-from nuno.bus.messages import Bus, Inbox
-from nuno.bus.query import Query
+from nuno.bus.messages import Bus, Inbox, Query
 from nuno.collision.bodies import build_bodies
 from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
-from nuno.runtime.service import Context, Options, asks_to_finish
-from nuno.runtime.watchdog import FrameWatchdog
+from nuno.runtime.service import Context, FrameWatchdog, Options, asks_to_finish
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
@@ -252,6 +250,6 @@ MESSAGES = (
         lambda folder: _texts("page"),
         _page,
         mutate_json,
-        ("nuno.studio.lines", "nuno.studio.draw.lines"),
+        ("nuno.studio.lines", "nuno.studio.draw"),
     ),
 )

@@ -12,8 +12,7 @@ from typing import Any
 
 import nuno
 from nuno.exports.cloth import read_bodies, read_pieces
-from nuno.recording.reader import Recording
-from nuno.recording.restore import control_events
+from nuno.recording.reader import Recording, control_events
 from nuno.scene import scene_file, shipped
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput

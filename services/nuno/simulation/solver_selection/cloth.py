@@ -18,10 +18,8 @@ from nuno.plugin_contract import registry
 from nuno.process import attended
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno.scene.step import MOST_STEPS
-from nuno.simulation.cloth import build
-from nuno.simulation.solver_selection.budget import Budget, Spent
-from nuno.simulation.solver_selection.selection import PROMISE, Selection, written
-from nuno.simulation.solver_selection.trials import Method, Trials
+from nuno.simulation import cloth
+from nuno.simulation.solver_selection.trials import PROMISE, Budget, Method, Selection, Spent, Trials, written
 from nuno_schemas.errors import BadInput
 from nuno_schemas.parts import AUTO, Accuracy
 from nuno_schemas.system import System
@@ -97,10 +95,10 @@ def _solver_fields(loaded: Loaded, name: str) -> dict[str, Any]:
 
 
 def _build(loaded: Loaded) -> tuple[System, Bodies | None]:
-    fabric, pieces = build.build_fabric(loaded)
+    fabric, pieces = cloth.build_fabric(loaded)
     bodies = build_bodies(loaded) if loaded.colliders else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
-    return build.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
+    return cloth.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
 
 
 def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method | None, budget: Budget) -> Trials:
@@ -118,7 +116,7 @@ def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | 
     config = loaded.integrator.config if solver.plugin == name else plugin.Config()
     frame = 1.0 / float(loaded.scene.frame_rate)
     with np.errstate(all="ignore"):
-        limit = float(plugin.limit(config, system, build.start_state(system.fabric)).dt)
+        limit = float(plugin.limit(config, system, cloth.start_state(system.fabric)).dt)
     # A run would refuse more steps.
     if not limit > 0.0 or (solver.plugin == AUTO and frame > MOST_STEPS * safe * limit):
         return None

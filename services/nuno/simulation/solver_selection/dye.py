@@ -23,8 +23,7 @@ from nuno.dye.run import DyeRun
 from nuno.dye.supply import ROUNDING, first_step
 from nuno.formatting import many
 from nuno.scene.scene_file import FIRST_DYE, Loaded
-from nuno.simulation.solver_selection.budget import Budget, Spent
-from nuno.simulation.solver_selection.selection import PROMISE, Selection, written
+from nuno.simulation.solver_selection.trials import PROMISE, Budget, Selection, Spent, written
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.parts import AUTO

@@ -1,4 +1,4 @@
-"""Error of a step, measured on a scene's first frames.
+"""Trials of solvers on a scene's first frames, within a budget of time: the error of a step.
 
 A run at some step and one at half of it differ by the error of the first times (2^p - 1) / 2^p for a method of
 order p. Positions count only as long as they can be predicted (GROWTH).
@@ -7,18 +7,83 @@ order p. Positions count only as long as they can be predicted (GROWTH).
 from __future__ import annotations
 
 import math
+import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nuno.formatting import many
-from nuno.simulation.cloth import build
-from nuno.simulation.solver_selection.budget import Budget
+from nuno.formatting import many, roughly
+from nuno.scene import scene_file
+from nuno.scene.override import as_override
+from nuno.scene.scene_file import Loaded
+from nuno.simulation import cloth
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float
+from nuno_schemas.parts import Accuracy
 from nuno_schemas.system import System
+
+# Time budget of the trials for a solver, and their progress messages.
+
+BUDGET = 60.0
+"""Default wall time of the trials [s]."""
+SILENT = 2.0
+"""Total time of trials from which messages are shown [s]."""
+
+
+class Spent(Exception):
+    """The budget is used up."""
+
+
+@dataclass
+class Budget:
+    """Wall time for the trials of one scene [s]. The choice depends on it only if it is used up.
+
+    leave  (1,) nonzero once it is used up, or the choice is no longer needed: solvers then abandon their frame
+    tell   is called with messages about the trials
+    """
+
+    seconds: float = BUDGET
+    tell: Callable[[str], None] = lambda text: None
+    leave: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
+    used: float = 0.0
+    """Wall time of trials so far [s], without compilation."""
+
+    @property
+    def over(self) -> str:
+        """Message for a budget that is used up."""
+        return f"trials were ended after {self.seconds:g} s: --budget gives them longer"
+
+    def stop(self) -> None:
+        """Abandon the present trial."""
+        self.leave[0] = 1
+
+    @contextmanager
+    def trial(self, what: str, expected: float = 0.0) -> Iterator[None]:
+        """Time one trial, which is expected to take `expected` [s]. Raises Spent without the time for it, or if the
+        budget is used up before its end.
+        """
+        left, began = self.seconds - self.used, time.monotonic()
+        if self.leave[0] or expected > left:
+            raise Spent
+        if self.used > SILENT or expected > SILENT:
+            takes = f", {roughly(expected)}" if expected else ""
+            self.tell(f"trying {what}{takes}: {self.used:.0f} of {self.seconds:g} s are used (--budget)")
+        timer = threading.Timer(left, self.stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            self.used += time.monotonic() - began
+        if self.leave[0]:
+            raise Spent
+
 
 DISTURBANCE, GROWTH = 1e-9, 1e3
 """A run is compared while a disturbance of this share of the size has grown less than this factor: after that, chaos
@@ -131,7 +196,7 @@ class Trials:
     def _compile(self, method: Method) -> None:
         """Compile a method's kernels, which does not count as its cost."""
         if all(name != method.name for name, *_ in self.runs):
-            state = build.start_state(self.system.fabric)
+            state = cloth.start_state(self.system.fabric)
             memory = method.plugin.prepare(method.config, self.system, state)
             method.plugin.advance(self.system, state, memory, self._pair(0), 0, self.frame)
 
@@ -142,7 +207,7 @@ class Trials:
 
     def _run(self, method: Method, steps: int, disturbance: float) -> Float | None:
         free = ~self.system.fabric.pinned
-        state = build.start_state(self.system.fabric)
+        state = cloth.start_state(self.system.fabric)
         if disturbance:
             noise = np.random.default_rng(SEED).normal(size=state.x.shape) / math.sqrt(3.0)
             state.x[free] += disturbance * self.size * noise[free]
@@ -155,3 +220,47 @@ class Trials:
                 return None
             out.append(state.x[free].copy())
         return np.array(out)
+
+
+# The result of trials of cloth and dye, and the scene with it.
+
+PROMISE: dict[Accuracy, float] = {"preview": 1e-2, "normal": 1e-3, "reference": 1e-4}
+"""Largest error of each accuracy. For cloth, the distance to the exact motion, root mean square over vertices and
+frames, as a share of the cloth's size (the diagonal of its bounding box), as long as the motion can be predicted: until
+a disturbance has grown a thousandfold. For dye, the difference of any cell's amount to the exact evolution of the
+cells, at the end of any frame, as a share of the largest amount at the end of any frame."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A solver with its steps a frame, its error [sizes, or largest amounts], and its cost a frame [evaluations of the
+    forces, or explicit steps]; `tried` is False where the error is extrapolated from fewer steps by the order of the
+    method.
+    """
+
+    name: str
+    steps: int
+    error: float
+    cost: float
+    tried: bool = True
+
+    @property
+    def said(self) -> tuple[str, str]:
+        """Steps and error in words."""
+        return f"{many(self.steps, 'step')} a frame", f"{self.error:.2g}" if self.tried else f"about {self.error:.2g}"
+
+
+def written(loaded: Loaded, solver: Mapping[str, Any], reason: str, dyed: bool = False) -> Loaded:
+    """Return the scene with this solver of its cloth or its dye, as if it were written in it."""
+    chosen, data = dict(solver), dict(loaded.data)
+    overrides = [as_override("dye.solver" if dyed else "solver", chosen)]
+    if dyed:
+        data["dye"] = {**data["dye"], "solver": chosen}
+    else:
+        data["solver"] = chosen
+    if not (dyed and loaded.scene.moves):  # otherwise the cloth's step is not chosen yet
+        data.pop("accuracy", None)
+        overrides.append("accuracy=null")
+    decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
+    reasons = f"{reason}; dye: {loaded.why}" if loaded.why else reason
+    return replace(decided, overrides=(*loaded.overrides, *overrides), path=loaded.path, why=reasons)

@@ -1,1 +1,0 @@
-"""Reference pages of the documentation, generated from the code as Markdown: `nuno schema`."""

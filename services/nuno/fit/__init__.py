@@ -1,1 +1,0 @@
-"""Fit of a garment on the body that wears it: girths and ease, strain, pressure."""

@@ -1,1 +1,0 @@
-"""The cloth of a scene: its start, its checks, and measurements on it."""

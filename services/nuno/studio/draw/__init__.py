@@ -1,1 +1,0 @@
-"""Ridge and valley lines drawn on cloth by hand, for scenes, runs and files."""

@@ -1,1 +1,0 @@
-"""Pages for a browser of this machine: their server, its access control, and shared files."""
