@@ -156,6 +156,20 @@ def test_a_gif_keeps_the_colours_of_cloth_that_come_later_and_of_the_background(
             assert np.sqrt((apart[:6] ** 2).mean()) < 2.0
 
 
+def test_a_falsified_time_makes_no_animation_of_a_thousand_million_pictures(tmp_path: Path) -> None:
+    sheet = Sheet()
+    write(tmp_path / "a.mcap", sheet, 3)
+    with open_recording(tmp_path / "a.mcap") as recording:
+        marks = recording.marks()
+        last = max(marks)
+        marks[10**18] = marks.pop(last)
+        recording.marks = lambda: marks  # type: ignore[method-assign]
+        for shot in (Shot(), Shot(turn=1e9)):
+            with pytest.raises(BadInput, match="too many pictures"):
+                export_animation(recording, tmp_path / "a.gif", SIZE, shot=shot)
+    assert not (tmp_path / "a.gif").exists()
+
+
 def test_a_gif_has_its_frames_and_its_pace(path: Path, tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     out = export_animation(path, tmp_path / "a.gif", SIZE, 25.0, progress=lambda done, all: steps.append((done, all)))

@@ -16,7 +16,16 @@ import numpy as np
 
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
-from nuno.exports.pictures import Colour, Picture, check_colour, check_sides, choose_frames, draw_frames, draw_turn
+from nuno.exports.pictures import (
+    Colour,
+    Picture,
+    check_colour,
+    check_sides,
+    choose_frames,
+    draw_frames,
+    draw_turn,
+    require_drawable,
+)
 from nuno.output_files import RATE, Progress, check_target, load_extra, writing
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.errors import BadInput, RunFailed
@@ -82,6 +91,7 @@ def export_animation(
                 frames = choose_frames(recording, rate, shot.start, shot.end)
                 draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
             else:
+                require_drawable(shot.turn * rate)
                 frames = list(range(max(1, round(shot.turn * rate))))
                 draw = _turning(recording, shot.frame, shown, colour, changes)
         # Evenly spaced frames determine a GIF's palette.

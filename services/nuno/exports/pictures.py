@@ -49,6 +49,7 @@ stretch of its threads; pressure: the pressure of a knit; auto: by `view.colour`
 RENDERER = "raster"
 ROOM = 0.04
 """Additional free margin on each side of a picture with a legend, as a share of it."""
+MOST_PICTURES = 1_000_000
 LOOKS = 16
 """Number of frames to which the camera of an animation is fitted."""
 
@@ -233,6 +234,13 @@ def draw_turn(
     return (painter.draw(frame, 2.0 * np.pi * k / number) for k in following(range(number), number, progress))
 
 
+def require_drawable(number: float) -> None:
+    """Raise BadInput for more pictures than an animation may have: a falsified time gives any number of them."""
+    if not number <= MOST_PICTURES:
+        raise BadInput("too many pictures for an animation", value=f"{number:,.0f}", limit=f"{MOST_PICTURES:,}",
+                       remedy="give a part of the recording: --start, --end")  # fmt: skip
+
+
 def choose_frames(recording: Recording, fps: float, start: float | None, end: float | None) -> list[int]:
     """Return the numbers of the frames nearest to k / fps seconds from `start` to `end` [s].
 
@@ -252,6 +260,7 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
             raise BadInput(problem, str(recording.path), field=name, value=asked, limit=limit)
     if not first <= last:
         raise BadInput("nothing to show between start and end", str(recording.path), value=(start, end), limit=limit)
+    require_drawable((last - first) * fps)
     due = first + np.arange(math.floor((last - first) * fps + 1e-6) + 1) / fps
     nearest = np.clip(np.searchsorted(times, due), 1, max(len(times) - 1, 1))
     nearest -= due - times[nearest - 1] < times[np.minimum(nearest, len(times) - 1)] - due
