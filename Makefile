@@ -26,7 +26,6 @@ lint: .venv/dev.stamp  ## ruff and mypy
 	$(BIN)/mypy
 
 docs: .venv/dev.stamp  ## the documentation as a site, to be opened as a file; a warning fails it
-	for page in messages fields commands; do $(BIN)/nuno schema --$$page > docs/reference/$$page.md || exit 1; done
 	$(BIN)/python -m sphinx -q -W --keep-going docs build/docs $(ARGS)
 	@echo "open build/docs/index.html"
 

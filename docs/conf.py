@@ -12,9 +12,15 @@ from sphinx.application import Sphinx
 # Imported before Sphinx documents any model: it writes annotations that it reads in pydantic's source onto pydantic's
 # classes, after which pydantic makes no model that takes further fields.
 import nuno_schemas.scene  # noqa: F401
+from nuno.cli import reference
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_extensions"))
+
+for name in ("commands", "fields", "messages"):  # the pages that are made from the code
+    page, text = HERE / "reference" / f"{name}.md", getattr(reference, f"describe_{name}")()
+    if not page.is_file() or page.read_text(encoding="utf-8") != text:
+        page.write_text(text, encoding="utf-8")
 
 project = "nuno"
 author = "nuno contributors"

