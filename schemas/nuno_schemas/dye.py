@@ -181,7 +181,9 @@ class Supply:
 class IsothermPlugin(Plugin, Protocol):
     """Provides an isotherm by name."""
 
-    def prepare(self, config: Any) -> Isotherm: ...
+    def prepare(self, config: Any) -> Isotherm:
+        """Return the isotherm of a configuration. Its limit is 0 without dye, and never falls as mobile dye grows."""
+        ...
 
 
 class DyeCloth(Plugin, Protocol):

@@ -66,7 +66,8 @@ MANY = 24
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a remedy with the nearest known name, then all known names, or the nearest few of more than MANY."""
     names = sorted(set(known))
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    close = [one for one in names if one.lower() == name.lower()]  # another case alone
+    close = close or difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     hint = f"did you mean {close[0]!r}? " if close else ""
     if len(names) > MANY and close:
         return f"{hint}near it: {', '.join(close)}, of {len(names)}"

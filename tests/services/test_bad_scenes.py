@@ -240,6 +240,10 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
     "endpoint without protocol": (["run", "SCENE", "--listen", "7447"], "for example tcp/127.0.0.1:7447"),
     "no such configuration": (["run", "SCENE", "--config", "FOLDER/none.json5"], "--config: cannot be read"),
     "no configuration": (["run", "SCENE", "--config", "SCENE"], "--config: cannot be read"),
+    "other capitals": (
+        ["plan", "dye/drops", "--set", "dye.dyes.0.isotherm={plugin: langmuir, k: 5}"],
+        "did you mean 'K'?",
+    ),
     "wrong override": (["run", "SCENE", "--set", "solver.dtt=1"], "--set: solver.dtt: no such field"),
     "half an override": (["run", "SCENE", "--set", "solver.dt"], "written key=value"),
     "resume noise": (["run", "--resume", "FOLDER/noise.mcap"], "not an MCAP file"),

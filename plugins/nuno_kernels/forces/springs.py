@@ -99,30 +99,35 @@ Lock = tuple[Lanes, Lanes]
 @kernel
 def tensions(length: Lanes, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
     """Return tensions of eight springs: k (|d| - L), and beyond the lock the growth of k times the rest of |d|."""
-    pull = k * (length - rest)
-    return pull if locks is None else pull + lock[0] * higher(length - lock[1], splat(0.0))
+    tension = k * (length - rest)
+    return tension if locks is None else tension + lock[0] * higher(length - lock[1], splat(0.0))
 
 
 @kernel
 def tension_at(length: float, constants: Float, c: int, locks: bool | None) -> float:
     """Return the tension [N] of the spring of this length [m] whose constants stand in column c."""
-    pull = constants[0, c] * (length - constants[1, c])
+    tension = constants[0, c] * (length - constants[1, c])
     if locks is not None:
-        pull += constants[3, c] * max(length - constants[4, c], 0.0)
-    return float(pull)
+        tension += constants[3, c] * max(length - constants[4, c], 0.0)
+    return float(tension)
 
 
 @kernel
-def pull(d: Triple, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """Return k (|d| - L) / |d|: exactly 0 at the rest length, which k - k L / |d| is not."""
+def tension_over_length(d: Triple, k: Lanes, rest: Lanes, lock: Lock, locks: bool | None) -> Lanes:
+    """Return k (|d| - L) / |d| [N/m], of undamped springs: exactly 0 at the rest length, which k - k L / |d| is not.
+
+    The force on a spring's first vertex is this times d = x_j - x_i; `run_forces` and `listed_forces` add it.
+    """
     square = dot(d, d)
     length = root(square)
     return where_not_zero(square, tensions(length, k, rest, lock, locks) / length)
 
 
 @kernel
-def damped_pull(d: Triple, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None) -> Lanes:
-    """Return (k (|d| - L) + c approach / |d|) / |d| with approach = (v_j - v_i).d."""
+def damped_over_length(
+    d: Triple, approach: Lanes, k: Lanes, rest: Lanes, c: Lanes, lock: Lock, locks: bool | None
+) -> Lanes:
+    """Return (k (|d| - L) + c approach / |d|) / |d| [N/m] with approach = (v_j - v_i).d: the same of damped springs."""
     square = dot(d, d)
     length = root(square)
     inverse = 1.0 / length
@@ -176,9 +181,9 @@ def run_forces(
     k, rest = run_constant(0, at, m, constants, each), run_constant(1, at, m, constants, each)
     lock = run_lock(at, m, constants, each, locks)
     if damped is None:
-        return times(pull(d, k, rest, lock, locks), d)
+        return times(tension_over_length(d, k, rest, lock, locks), d)
     approach = dot(run_difference(v, ends[0], ends[1], m), d)
-    return times(damped_pull(d, approach, k, rest, run_constant(2, at, m, constants, each), lock, locks), d)
+    return times(damped_over_length(d, approach, k, rest, run_constant(2, at, m, constants, each), lock, locks), d)
 
 
 @kernel
@@ -217,9 +222,9 @@ def listed_forces(
     d, k, rest = listed_difference(x, ends, 0, p), load(constants, 0, p), load(constants, 1, p)
     lock = listed_lock(p, constants, 3, locks)
     if damped is None:
-        return times(pull(d, k, rest, lock, locks), d)
+        return times(tension_over_length(d, k, rest, lock, locks), d)
     approach = dot(listed_difference(v, ends, 0, p), d)
-    return times(damped_pull(d, approach, k, rest, load(constants, 2, p), lock, locks), d)
+    return times(damped_over_length(d, approach, k, rest, load(constants, 2, p), lock, locks), d)
 
 
 @kernel

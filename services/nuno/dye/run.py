@@ -372,20 +372,22 @@ def resist_around(phi: Float, cells: Cells, before: Float, after: Float) -> Floa
 def describe_dye(loaded: Loaded) -> list[tuple[str, str]]:
     """Return rows (heading, text). Raises BadInput for a scene that would not start."""
     dyeing = DyeRun(loaded, 0)
+    laws = {chosen.field: chosen.name for chosen in loaded.chosen}
     return [
         (
             "dye cloth" if loaded.scene.moves else "cloth",
             f"{f'on {on}, ' if (on := loaded.dyed.said.object) else ''}{_size(dyeing)}",
         ),
-        ("dyes", ", ".join(map(_dye, dyeing.system.dyes))),
+        ("dyes", ", ".join(_dye(one, laws.get(f"dye.dyes[{i}].isotherm")) for i, one in enumerate(dyeing.system.dyes))),
         *([("supply", "; ".join(map(_supply, dyeing.supplies.entries)))] if dyeing.supplies.entries else []),
         ("solver", f"{dyeing.describe_step(loaded.dyed.solver.name, dyeing.limit)}; {dyeing.about()}"),
         *_cost(dyeing, loaded),
     ]
 
 
-def _dye(one: Dye) -> str:
-    law = one.isotherm.kind if one.isotherm is not None and one.adsorption else "nothing is fixed"
+def _dye(one: Dye, isotherm: str | None) -> str:
+    law = isotherm or (one.isotherm.kind if one.isotherm is not None else "")
+    law = law if law and one.adsorption else "nothing is fixed"
     slower = one.weisz_zollinger
     factor = f" x min({slower.cap:g}, {slower.phi0:g} / phi)" if slower is not None else ""
     return f"{one.name} (D0 {one.D0 * 3.6e9:.4g} mm^2/h{factor}, {law})"

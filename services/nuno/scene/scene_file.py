@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -300,7 +301,8 @@ def name_right_place(data: Any) -> Iterator[None]:
     except BadInput as error:
         place, _, name = (error.field or "").rpartition(".")
         places = belongs(name, place, data) if error.problem == NO_FIELD else []
-        if not places:
+        meant = re.search(r"did you mean '(\w+)'", error.remedy or "")
+        if not places or (meant and meant[1].lower() == name.lower()):  # here it has other capitals
             raise
         raise replace(error, remedy=f"it is a field of {' or '.join(places)}: move it there") from None
 
@@ -310,7 +312,8 @@ def belongs(name: str, place: str, data: Any) -> list[str]:
     distances: dict[str, int] = {}
     here = place.split(".") if place else []
     for path, fields in _nested_parts((Scene,), data if isinstance(data, dict) else {}, ()):
-        if name in fields and dotted(path) != place:
+        sibling = [re.sub(r"\[\d+\]", "[]", text) for text in (dotted(path), place)]  # of a list: it has its own
+        if name in fields and dotted(path) != place and sibling[0] != sibling[1]:
             parts = dotted(path).split(".") if path else []
             shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(here, parts, strict=False)))
             distances[dotted(path) or "the scene itself"] = len(here) + len(parts) - 2 * shared
