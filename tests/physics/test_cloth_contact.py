@@ -487,5 +487,5 @@ def test_a_run_goes_on_from_a_checkpoint_in_the_same_bits(solver: str, seed: int
         on.memory.arrays[name] = values.copy()
     for _ in range(5):
         on.go(steps)
-    assert cut.meeting.friction.anchored.any()
+    assert cut.meeting.anchored.any()
     assert (on.state.x.tobytes(), on.state.v.tobytes()) == (whole.state.x.tobytes(), whole.state.v.tobytes())

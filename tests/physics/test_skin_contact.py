@@ -90,7 +90,7 @@ def test_vertices_of_a_skin_go_straight_and_as_fast_as_is_said() -> None:
     met = Bent(above(), motions=[lifted(-1.0), lifted(1.0)])
     ends = met.poses(0.004), met.poses(0.009)
     set_solid_poses(met.meeting, *ends)
-    n, x, v = met.fabric.number, met.meeting.whole.goal, met.meeting.whole.v
+    n, x, v = met.fabric.number, met.meeting.goal, met.meeting.whole_velocity
     places = [met.geometry.placed(0, poses)[0] for poses in ends]
     for s in (0.0, 0.3, 1.0):
         pose_solids(met.meeting, s)
@@ -112,7 +112,7 @@ def test_bodies_that_stand_are_placed_once_and_are_behind_where_they_were_moved(
         report = met.solver.advance(met.system, met.state, met.memory, (poses, poses), 1, met.dt)
         assert report.status == "ok"
         assert m.bodies.still[0] == placed and m.bodies.behind.any() == (placed == STANDS)
-        assert np.abs(m.whole.goal[:, n:].T - met.geometry.placed(0, poses)[0]).max() < 1e-15
+        assert np.abs(m.goal[:, n:].T - met.geometry.placed(0, poses)[0]).max() < 1e-15
     way = np.linalg.norm(m.last - before, axis=0)[n:]
     assert 0.0 < way.max() <= CATCH_UP * met.dt * (1.0 + 1e-12)
 

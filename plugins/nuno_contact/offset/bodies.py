@@ -11,8 +11,8 @@ their vertices is behind, which is counted.
 A fine body under coarse cloth has many vertices below each triangle. They share what one could bear: see
 nuno_contact.offset.contact_state.size_of.
 
-Kernels of cloth contact see cloth of n vertices, or, where there are bodies, the arrays of
-nuno_contact.offset.contact_state.WholeMesh, which hold n and b.
+Kernels of cloth contact see cloth of n vertices, or, where there are bodies, the state's arrays
+`whole`, `whole_velocity`, `goal` and `way`, which hold n and b.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SAME = 1e-9
 
 
 MOVES, STANDS, PLACED = range(3)
-"""motion of bodies in an interval; of those that stand, whether m.whole.goal has them and none of their vertices is
+"""motion of bodies in an interval; of those that stand, whether m.goal has them and none of their vertices is
 behind"""
 OF_SKIN = -1
 """stands for the frame of a vertex that several frames carry"""
@@ -76,21 +76,33 @@ def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
         return
     write_interval(m.bodies, start, end)
     m.bodies.still[0] = STANDS if start.same_place(end) else MOVES
-    if len(m.skin.joint):
-        mine, skin, moving = m.bodies.frame == OF_SKIN, Skin(m.skin.place, m.skin.joint, m.skin.weight), end.t > start.t
-        for poses, to in ((start, m.skin.begin), (end if moving else start, m.skin.end)):
-            to[mine] = skin.bend(m.bodies.local[mine], poses.rotation[m.skin.frame], poses.translation[m.skin.frame])
-        m.skin.rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
+    if len(m.bodies.skin_joint):
+        mine, skin, moving = (
+            m.bodies.frame == OF_SKIN,
+            Skin(m.bodies.skin_place, m.bodies.skin_joint, m.bodies.skin_weight),
+            end.t > start.t,
+        )
+        for poses, to in ((start, m.bodies.skin_begin), (end if moving else start, m.bodies.skin_end)):
+            to[mine] = skin.bend(
+                m.bodies.local[mine], poses.rotation[m.bodies.skin_frame], poses.translation[m.bodies.skin_frame]
+            )
+        m.bodies.skin_rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
 @block_kernel
 def pose_solids(m: ContactState, s: float) -> None:
-    """Write the bodies' vertices at fraction s of the interval to m.whole.goal and m.whole.v."""
+    """Write the bodies' vertices at fraction s of the interval to m.goal and m.whole_velocity."""
     bodies = m.bodies
     if bodies.still[0] == PLACED:
         return
-    frames, local, of_frame, begin, end = bodies.frames, bodies.local, bodies.frame, m.skin.begin, m.skin.end
-    x, v = m.whole.goal, m.whole.v
+    frames, local, of_frame, begin, end = (
+        bodies.frames,
+        bodies.local,
+        bodies.frame,
+        m.bodies.skin_begin,
+        m.bodies.skin_end,
+    )
+    x, v = m.goal, m.whole_velocity
     for f in range(frames.shape[0]):
         pose_frame(s, f, bodies.rotation0, bodies.origin0, bodies.spin, bodies.shift, frames)
     first = x.shape[1] - local.shape[0]
@@ -100,7 +112,7 @@ def pose_solids(m: ContactState, s: float) -> None:
             continue
         for row in range(3):
             x[row, first + b] = (1.0 - s) * begin[b, row] + s * end[b, row]
-            v[row, first + b] = m.skin.rate[0] * (end[b, row] - begin[b, row])
+            v[row, first + b] = m.bodies.skin_rate[0] * (end[b, row] - begin[b, row])
 
 
 @block_kernel
@@ -118,9 +130,9 @@ def place_solids(m: ContactState, x: Float, v: Float, s: float) -> None:
     """
     if m.bodies.local.shape[0] == 0 or m.bodies.still[0] == PLACED:
         return
-    n, whole, goal, last = x.shape[1], m.whole.x, m.whole.goal, m.last
+    n, whole, goal, last = x.shape[1], m.whole, m.goal, m.last
     pose_solids(m, s)
-    if m.implicit.step[0] > 0.0:
+    if m.solver.step[0] > 0.0:
         return
     for b in range(m.bodies.local.shape[0]):
         for row in range(3):
@@ -128,15 +140,15 @@ def place_solids(m: ContactState, x: Float, v: Float, s: float) -> None:
 
 
 def is_waiting(m: ContactState) -> bool:
-    """Whether an iterate has bodies' vertices that are not at m.whole.goal."""
-    first = m.whole.goal.shape[1] - len(m.bodies.local)
-    return bool(len(m.bodies.local)) and float(np.abs(m.whole.goal[:, first:] - m.whole.x[:, first:]).max()) > SAME
+    """Whether an iterate has bodies' vertices that are not at m.goal."""
+    first = m.goal.shape[1] - len(m.bodies.local)
+    return bool(len(m.bodies.local)) and float(np.abs(m.goal[:, first:] - m.whole[:, first:]).max()) > SAME
 
 
 @kernel
 def limit_ways(m: ContactState, n: int, dt: float) -> None:
-    """Limit the ways of bodies' vertices from `last` to m.whole.goal in a step of dt [s] to their largest speed."""
-    goal, last, v = m.whole.goal, m.last, m.whole.v
+    """Limit the ways of bodies' vertices from `last` to m.goal in a step of dt [s] to their largest speed."""
+    goal, last, v = m.goal, m.last, m.whole_velocity
     for i in range(n, goal.shape[1] if m.bodies.still[0] != PLACED else n):
         a, b, c = goal[0, i] - last[0, i], goal[1, i] - last[1, i], goal[2, i] - last[2, i]
         speed = math.sqrt(v[0, i] * v[0, i] + v[1, i] * v[1, i] + v[2, i] * v[2, i])
@@ -149,7 +161,7 @@ def limit_ways(m: ContactState, n: int, dt: float) -> None:
 @kernel
 def catch_up(m: ContactState, n: int, dt: float) -> None:
     """Set the velocities at which vertices behind their bodies will follow in a step of dt [s]."""
-    goal, last, v = m.whole.goal, m.last, m.whole.v
+    goal, last, v = m.goal, m.last, m.whole_velocity
     for b in range(m.bodies.local.shape[0]):
         if not m.bodies.behind[b] or dt == 0.0:
             continue
@@ -165,8 +177,8 @@ def catch_up(m: ContactState, n: int, dt: float) -> None:
 
 @kernel
 def find_behind(m: ContactState, n: int) -> None:
-    """Find which of the bodies' vertices are behind m.whole.goal at `last`, from where forces are then found, too."""
-    goal, last, whole = m.whole.goal, m.last, m.whole.x
+    """Find which of the bodies' vertices are behind m.goal at `last`, from where forces are then found, too."""
+    goal, last, whole = m.goal, m.last, m.whole
     late = False
     for b in range(m.bodies.local.shape[0]):
         way = 0.0

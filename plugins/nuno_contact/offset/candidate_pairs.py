@@ -246,7 +246,7 @@ def search(m: ContactState, threads: int | None) -> None:
 @block_kernel
 def choose_part(part: int, m: ContactState, number: Long) -> None:
     """Choose near pairs among a part of the listed ones; write them into `near` from the part's first place on."""
-    pairs, anchored, thickness, ways = m.pairs, m.friction.anchored, m.surface.law[0], m.plan.ways
+    pairs, anchored, thickness, ways = m.pairs, m.anchored, m.surface.law[0], m.plan.ways
     pair, of, normal, near = pairs.vertices, pairs.face, pairs.normal, pairs.near
     first, end = part * m.counts[LISTED] // PARTS, (part + 1) * m.counts[LISTED] // PARTS
     candidates_end = first
@@ -316,30 +316,30 @@ def slot(key: int, table: Long) -> int:
 @block_kernel
 def renew_list(m: ContactState, threads: int | None) -> None:
     """List the pairs; anchors move with them, and so do the shares of friction of the present xpbd step."""
-    pairs, friction = m.pairs, m.friction
+    pairs, anchor, anchored = m.pairs, m.anchor, m.anchored
     held, size = 0, 64
     for p in range(m.counts[LISTED]):
-        held += 1 if friction.anchored[p] else 0
+        held += 1 if anchored[p] else 0
     while size < 2 * held:
         size *= 2
     table, anchors, share = np.empty(size, np.int64), np.empty((size, 4)), np.empty(size)
     for at in range(size):
         table[at] = EMPTY
     for p in range(m.counts[LISTED]):
-        if friction.anchored[p]:
+        if anchored[p]:
             at = slot(pairs.key[p], table)
-            table[at], share[at] = pairs.key[p], m.xpbd.force[p, 3] if m.kept.which[p] else -1.0
+            table[at], share[at] = pairs.key[p], m.solver.force[p, 3] if m.solver.kept[p] else -1.0
             for corner in range(4):
-                anchors[at, corner] = friction.anchor[p, corner]
-            friction.anchored[p] = False
+                anchors[at, corner] = anchor[p, corner]
+            anchored[p] = False
     make_list(m, threads)
     for p in range(m.counts[LISTED] if held > 0 else 0):
         at = slot(pairs.key[p], table)
-        friction.anchored[p] = table[at] != EMPTY
-        if friction.anchored[p]:
-            m.kept.which[p], m.xpbd.force[p, 3] = share[at] >= 0.0, share[at]
+        anchored[p] = table[at] != EMPTY
+        if anchored[p]:
+            m.solver.kept[p], m.solver.force[p, 3] = share[at] >= 0.0, share[at]
             for corner in range(4):
-                friction.anchor[p, corner] = anchors[at, corner]
+                anchor[p, corner] = anchors[at, corner]
 
 
 # The expected ways of vertices, their duration and accuracy, for which lists of pairs are made.
@@ -470,7 +470,7 @@ def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, t
     """
     plan = m.plan
     clock, last, reference, motion, spread = m.clock, m.last, plan.reference, plan.motion, plan.spread
-    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.implicit.step[0] == 0.0
+    s, near, scale, pinched, explicit = clock[NOW], motion[3:], window / way, m.share, m.solver.step[0] == 0.0
     for row in range(3):
         for i in range(last.shape[1]):
             # A shortened vertex is pinched, and comes no farther in the steps to come.

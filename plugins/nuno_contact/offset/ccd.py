@@ -65,7 +65,7 @@ def nearest(reach: float, distance: float) -> float:
 @forced_inline
 def is_thorough(m: ContactState) -> bool:
     """Whether all planes are tried before a step is cut short: for long steps, and for bodies, which go far in one."""
-    return bool(m.implicit.step[0] > 0.0) or m.bodies.local.shape[0] > 0
+    return bool(m.solver.step[0] > 0.0) or m.bodies.local.shape[0] > 0
 
 
 @block_kernel
@@ -85,7 +85,7 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, fa
         there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
         low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
         if low - high > more(reach[p], IMPULSE_RANGE * reach[p] + 2.0 * way):
-            m.friction.anchored[p] = False
+            m.anchored[p] = False
             continue
         close[at] = p
         at += 1
@@ -179,11 +179,11 @@ def limit_step(m: ContactState, x: Float, v: Float, s: float, threads: int | Non
     """Shorten a step from `last` to x, v (3, n), which ends at fraction s of the interval, to where cloth meets."""
     dt = (s - m.clock[NOW]) * m.span[0]
     if m.bodies.local.shape[0] == 0:
-        if limit_whole_step(m, x, v, s, threads) and m.xpbd.sweeps[0] == 0:
+        if limit_whole_step(m, x, v, s, threads) and m.solver.sweeps[0] == 0:
             apply_impulses(m, v, dt, SWEEPS[0], threads)
-        m.xpbd.sweeps[0] = 0
+        m.solver.sweeps[0] = 0
         return
-    n, goal, velocity = x.shape[1], m.whole.goal, m.whole.v
+    n, goal, velocity = x.shape[1], m.goal, m.whole_velocity
     pose_solids(m, s)
     limit_ways(m, n, dt)
     copy_part(x, goal, 0, n)
@@ -196,7 +196,7 @@ def limit_step(m: ContactState, x: Float, v: Float, s: float, threads: int | Non
             catch_up(m, n, dt)
         apply_impulses(m, velocity, dt, SWEEPS[1], threads)
         copy_part(velocity, v, 0, n)
-    m.xpbd.sweeps[0] = 0
+    m.solver.sweeps[0] = 0
 
 
 @block_kernel
@@ -244,7 +244,7 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
     else:
         m.share[:] = 1.0
     copy_rows(x, m.last)
-    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.implicit.step[0] == 0.0 else 0.0
+    m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.solver.step[0] == 0.0 else 0.0
     find_touching(m, threads)
     drag_anchors(m, v, threads)
     return True

@@ -90,45 +90,25 @@ class BodyVertices(NamedTuple):
     """(b,) which of the vertices are behind their bodies at `last`"""
     still: Long
     """(1,) motion of bodies in the interval: see nuno_contact.offset.bodies.MOVES"""
-
-
-@by_reference
-class SkinVertices(NamedTuple):
-    """The s of the bodies' vertices that are of skins, on e carriers."""
-
-    joint: Int
-    """(s, k) the carriers of each vertex"""
-    weight: Float
+    skin_joint: Int
+    """(s, k) of the s vertices that are of skins, on e carriers: the carriers of each"""
+    skin_weight: Float
     """(s, k) the shares of those"""
-    place: Float
+    skin_place: Float
     """(e, 3) where the carriers lie as the skins are bound [m]"""
-    frame: Int
+    skin_frame: Int
     """(e,) which frames they are"""
-    begin: Float
+    skin_begin: Float
     """(b, 3) of all bodies' vertices, where there are skins: where those of skins begin in the interval [m]"""
-    end: Float
+    skin_end: Float
     """(b, 3) where they end"""
-    rate: Float
+    skin_rate: Float
     """(1,) 1 over the interval's duration [1/s]"""
 
 
 @by_reference
-class WholeMesh(NamedTuple):
-    """Scratch: cloth's vertices and the bodies' after them. Empty without bodies."""
-
-    x: Float
-    """(3, n) where forces are found [m]"""
-    v: Float
-    """(3, n) velocities there [m/s]"""
-    goal: Float
-    """(3, n) the end of a step, bodies' vertices where their bodies are"""
-    way: Float
-    """(3, n) of an implicit method: the way to its next iterate"""
-
-
-@by_reference
 class Pairs(NamedTuple):
-    """The listed pairs, with places for P, and the near ones among them."""
+    """The listed pairs, with places for P, and which of them are near, close, and touching."""
 
     vertices: Int
     """(P, 4) vertices of each pair: see nuno_contact.offset.proximity"""
@@ -154,38 +134,18 @@ class Pairs(NamedTuple):
     """(B + 1,) bounds of the near pairs of each block of cloth in"""
     block_pair: Int
     """(4 P,)"""
-
-
-@by_reference
-class TouchingPairs(NamedTuple):
-    """The pairs that touch at `last`."""
-
-    pair: Int
-    """(P,) their numbers in the list"""
-    block_start: Int
-    """(B + 1,) bounds of those of each block of cloth in"""
-    block_pair: Int
+    touching: Int
+    """(P,) those that touch at `last`"""
+    touch_start: Int
+    """(B + 1,) bounds of the touching pairs of each block of cloth in"""
+    touch_pair: Int
     """(4 P,)"""
     weights: Float
-    """(P, 4) at the closest points, by number in the list"""
+    """(P, 4) at the closest points of those that touch"""
     distance: Float
-    """(P,) [m]"""
+    """(P,) of those that touch [m]"""
     eased: Float
-    """(P,) share of its damping that each has: see nuno_contact.offset.force.ease_part"""
-    rate: Float
-    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
-    fresh: Bool
-    """(1,) whether forces are asked for at `last`"""
-
-
-@by_reference
-class Anchors(NamedTuple):
-    """The points that friction holds together; part of the state."""
-
-    anchor: Float
-    """(P, 4) weights of the points of each pair"""
-    anchored: Bool
-    """(P,) which pairs have an anchor"""
+    """(P,) share of its damping that a pair which touches has: see nuno_contact.offset.force.ease_part"""
 
 
 @by_reference
@@ -209,62 +169,64 @@ class CandidatePlan(NamedTuple):
 
 
 @by_reference
-class ImplicitScratch(NamedTuple):
-    """What an implicit method notes within a step."""
+class SolverScratch(NamedTuple):
+    """What an implicit method or xpbd notes within a step."""
 
     step: Float
     """(1,) g [s] of a method that feels the forces at its step's end, x = x^ + g v; 0 for others"""
     velocity: Float
-    """(3, n) where forces were found last [m/s]"""
+    """(3, n) of an implicit method: where forces were found last [m/s]"""
     expected: Bool
-    """(P,) which pairs are expected to touch after its next Newton step"""
+    """(P,) of an implicit method: which pairs are expected to touch after its next Newton step"""
     calm: Long
-    """(1,) Newton steps since one was shortened"""
+    """(1,) of an implicit method: Newton steps since one was shortened"""
     frozen: Bool
-    """(1,) whether the contacts of `kept` are frozen"""
-
-
-@by_reference
-class KeptContacts(NamedTuple):
-    """Contacts that an implicit method or xpbd keeps from one iterate to the next, by number in the list; scratch."""
-
-    which: Bool
-    """(P,) which pairs are kept"""
-    weights: Float
-    """(P, 4) at the closest points"""
-    normal: Float
-    """(P, 3)"""
-
-
-@by_reference
-class XpbdScratch(NamedTuple):
-    """What xpbd notes within a step."""
-
+    """(1,) of an implicit method: whether the contacts of kept_weights are frozen"""
+    kept: Bool
+    """(P,) pairs whose contacts are kept from one iterate to the next"""
+    kept_weights: Float
+    """(P, 4) of those, at the closest points"""
+    kept_normal: Float
+    """(P, 3) of those"""
     force: Float
-    """(P, 4) the force [N] of pairs that are kept, and the share of its friction that each gets, 1 where it sticks"""
+    """(P, 4) of xpbd: the force [N] of pairs that are kept, and the share of its friction that each gets, 1 where it
+    sticks"""
     sweeps: Long
-    """(1,) sweeps over pairs in this step so far"""
+    """(1,) of xpbd: sweeps over pairs in this step so far"""
 
 
 class ContactState(NamedTuple):
-    """The state of cloth contact: cloth, and bodies behind it, of n vertices, e edges and f triangles."""
+    """The state of cloth contact: cloth, and bodies behind it, of n vertices, e edges and f triangles.
+
+    Few parts: numba looks at each anew whenever Python calls a kernel, as an implicit method often does.
+    """
 
     tree: MovingTree
     surface: ContactSurface
     bodies: BodyVertices
-    skin: SkinVertices
-    whole: WholeMesh
     pairs: Pairs
-    touching: TouchingPairs
-    friction: Anchors
     plan: CandidatePlan
-    implicit: ImplicitScratch
-    kept: KeptContacts
-    xpbd: XpbdScratch
+    solver: SolverScratch
+    anchor: Float
+    """(P, 4) weights of the points of a pair that friction holds together: part of the state"""
+    anchored: Bool
+    """(P,) which pairs have an anchor: part of the state"""
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
     share: Float
     """(n,) scratch: the share of a step that each vertex makes"""
+    rate: Float
+    """(n,) scratch: of damping, see nuno_contact.offset.force.ease_part [1/s]"""
+    fresh: Bool
+    """(1,) whether forces are asked for at `last`"""
+    whole: Float
+    """(3, n) for contact with bodies, as the next three: where forces are found [m]"""
+    whole_velocity: Float
+    """(3, n) velocities there [m/s]"""
+    goal: Float
+    """(3, n) scratch: the end of a step, bodies' vertices where their bodies are"""
+    way: Float
+    """(3, n) scratch of an implicit method: the way to its next iterate"""
     clock: Float
     """(7,) times and shares: see NOW; part of the state"""
     span: Float
@@ -289,9 +251,9 @@ def close_up(found: Int, count: int, number: Long) -> int:
     return at
 
 
-def make_pairs(places: int, blocks: int, n: int) -> tuple[Pairs, TouchingPairs, Anchors]:
-    """Allocate listed pairs, touching ones and anchors, with so many places, for so many blocks and n vertices."""
-    pairs = Pairs(
+def make_pairs(places: int, blocks: int) -> Pairs:
+    """Allocate so many places for pairs, for so many blocks of cloth."""
+    return Pairs(
         vertices=np.zeros((places, 4), np.int32),
         face=np.zeros(places, np.int32),
         key=np.zeros(places, np.int64),
@@ -304,18 +266,13 @@ def make_pairs(places: int, blocks: int, n: int) -> tuple[Pairs, TouchingPairs, 
         close=np.zeros(places, np.int32),
         block_start=np.zeros(blocks + 1, np.int32),
         block_pair=np.zeros(4 * places, np.int32),
-    )
-    touching = TouchingPairs(
-        pair=np.zeros(places, np.int32),
-        block_start=np.zeros(blocks + 1, np.int32),
-        block_pair=np.zeros(4 * places, np.int32),
+        touching=np.zeros(places, np.int32),
+        touch_start=np.zeros(blocks + 1, np.int32),
+        touch_pair=np.zeros(4 * places, np.int32),
         weights=np.zeros((places, 4)),
         distance=np.zeros(places),
         eased=np.zeros(places),
-        rate=np.zeros(n),
-        fresh=np.zeros(1, np.bool_),
     )
-    return pairs, touching, Anchors(np.zeros((places, 4)), np.zeros(places, np.bool_))
 
 
 class Solids(NamedTuple):
@@ -345,9 +302,10 @@ def size_of(x: Float, faces: Int) -> Float:
     return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
 
 
-def make_bodies(solids: Solids, wide: int) -> tuple[BodyVertices, SkinVertices, WholeMesh]:
-    """Return the parts of bodies, with `wide` vertices of cloth and bodies together, which is 0 without bodies."""
-    bodies = BodyVertices(
+def make_bodies(solids: Solids) -> BodyVertices:
+    """Return the part of bodies."""
+    skinned = len(solids.x) if len(solids.skin.joint) else 0
+    return BodyVertices(
         local=np.array(solids.local, np.float64, order="C"),
         frame=np.array(solids.frame, np.int32),
         law=np.array(solids.law, np.float64, order="C"),
@@ -358,18 +316,14 @@ def make_bodies(solids: Solids, wide: int) -> tuple[BodyVertices, SkinVertices, 
         frames=np.zeros((solids.frames, 18)),
         behind=np.zeros(len(solids.x), np.bool_),
         still=np.zeros(1, np.int64),
+        skin_joint=np.array(solids.skin.joint, np.int32),
+        skin_weight=np.array(solids.skin.weight, np.float64, order="C"),
+        skin_place=np.array(solids.skin.place, np.float64, order="C"),
+        skin_frame=np.array(solids.carrier, np.int32),
+        skin_begin=np.zeros((skinned, 3)),
+        skin_end=np.zeros((skinned, 3)),
+        skin_rate=np.zeros(1),
     )
-    skinned = len(solids.x) if len(solids.skin.joint) else 0
-    skin = SkinVertices(
-        joint=np.array(solids.skin.joint, np.int32),
-        weight=np.array(solids.skin.weight, np.float64, order="C"),
-        place=np.array(solids.skin.place, np.float64, order="C"),
-        frame=np.array(solids.carrier, np.int32),
-        begin=np.zeros((skinned, 3)),
-        end=np.zeros((skinned, 3)),
-        rate=np.zeros(1),
-    )
-    return bodies, skin, WholeMesh(*(np.zeros((3, wide)) for _ in WholeMesh._fields))
 
 
 def make_contact_state(
@@ -407,30 +361,36 @@ def make_contact_state(
         zeros=np.zeros((3, n)),
         ways=np.zeros((n, 8)),
     )
-    implicit = ImplicitScratch(
+    solver = SolverScratch(
         step=np.zeros(1),
         velocity=np.zeros((3, n)),
         expected=np.zeros(places, np.bool_),
         calm=np.zeros(1, np.int64),
         frozen=np.zeros(1, np.bool_),
+        kept=np.zeros(places, np.bool_),
+        kept_weights=np.zeros((places, 4)),
+        kept_normal=np.zeros((places, 3)),
+        force=np.zeros((places, 4)),
+        sweeps=np.zeros(1, np.int64),
     )
-    bodies, skin, whole = make_bodies(solids, n if b else 0)
-    pairs, touching, friction = make_pairs(places, block_count(fabric.number), n)
+    wide = n if b else 0
     return ContactState(
         tree=tree,
         surface=surface,
-        bodies=bodies,
-        skin=skin,
-        whole=whole,
-        pairs=pairs,
-        touching=touching,
-        friction=friction,
+        bodies=make_bodies(solids),
+        pairs=make_pairs(places, block_count(fabric.number)),
         plan=plan,
-        implicit=implicit,
-        kept=KeptContacts(np.zeros(places, np.bool_), np.zeros((places, 4)), np.zeros((places, 3))),
-        xpbd=XpbdScratch(np.zeros((places, 4)), np.zeros(1, np.int64)),
+        solver=solver,
+        anchor=np.zeros((places, 4)),
+        anchored=np.zeros(places, np.bool_),
         last=np.zeros((3, n)),
         share=np.ones(n),
+        rate=np.zeros(n),
+        fresh=np.zeros(1, np.bool_),
+        whole=np.zeros((3, wide)),
+        whole_velocity=np.zeros((3, wide)),
+        goal=np.zeros((3, wide)),
+        way=np.zeros((3, wide)),
         clock=np.zeros(7),
         span=np.zeros(1),
         counts=np.zeros(8, np.int64),

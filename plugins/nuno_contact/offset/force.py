@@ -206,9 +206,14 @@ def touch(x: Float, i: int, f: int, corners: Corners, h: float, mesh: Faces) -> 
 @forced_inline
 def frozen_touch(m: ContactState, p: int, corners: Corners) -> Touch:
     """Return the contact of a pair whose features are frozen; see nuno_contact.offset.separating_plane.freeze."""
-    w = (m.kept.weights[p, 0], m.kept.weights[p, 1], m.kept.weights[p, 2], m.kept.weights[p, 3])
-    n = (m.kept.normal[p, 0], m.kept.normal[p, 1], m.kept.normal[p, 2])
-    return Touch(w, n, dot(n, weigh(w, corners)) if m.kept.which[p] else math.inf)
+    w = (
+        m.solver.kept_weights[p, 0],
+        m.solver.kept_weights[p, 1],
+        m.solver.kept_weights[p, 2],
+        m.solver.kept_weights[p, 3],
+    )
+    n = (m.solver.kept_normal[p, 0], m.solver.kept_normal[p, 1], m.solver.kept_normal[p, 2])
+    return Touch(w, n, dot(n, weigh(w, corners)) if m.solver.kept[p] else math.inf)
 
 
 @forced_inline
@@ -260,14 +265,14 @@ def is_fresh(m: ContactState, x: Float, v: Float) -> None:
     are a step ahead. If not, and if a matrix is made, assign near pairs to blocks. Append bodies, if any.
     """
     pairs = m.pairs
-    m.touching.fresh[0] = m.counts[NEAR] == 0 or in_place(x, m.last, m.surface.mass)
+    m.fresh[0] = m.counts[NEAR] == 0 or in_place(x, m.last, m.surface.mass)
     if m.bodies.local.shape[0] > 0:
-        copy_part(x, m.whole.x, 0, x.shape[1])
-        copy_part(v, m.whole.v, 0, x.shape[1])
-        copy_rows(m.whole.v, m.implicit.velocity)
-    elif m.implicit.step[0] > 0.0:
-        copy_rows(v, m.implicit.velocity)
-    if (not m.touching.fresh[0] or m.implicit.step[0] > 0.0) and m.counts[SHARED] != m.counts[CHOICES]:
+        copy_part(x, m.whole, 0, x.shape[1])
+        copy_part(v, m.whole_velocity, 0, x.shape[1])
+        copy_rows(m.whole_velocity, m.solver.velocity)
+    elif m.solver.step[0] > 0.0:
+        copy_rows(v, m.solver.velocity)
+    if (not m.fresh[0] or m.solver.step[0] > 0.0) and m.counts[SHARED] != m.counts[CHOICES]:
         share_out(m, pairs.near, m.counts[NEAR], pairs.block_start, pairs.block_pair, None)
         m.counts[SHARED] = m.counts[CHOICES]
 
@@ -275,22 +280,22 @@ def is_fresh(m: ContactState, x: Float, v: Float) -> None:
 @kernel
 def add_pairs(m: ContactState, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the forces [N] of the block's pairs to its vertices."""
-    pairs, touching, fresh, step = m.pairs, m.touching, m.touching.fresh[0], m.implicit.step[0]
+    pairs, fresh, step = m.pairs, m.fresh[0], m.solver.step[0]
     if m.bodies.local.shape[0] > 0:
-        x, v = m.whole.x, m.whole.v
+        x, v = m.whole, m.whole_velocity
     pair, of, reach, normal, mesh = pairs.vertices, pairs.face, pairs.reach, pairs.normal, faces_of(m)
     stiffness, damping, mu, weights, eased = (
-        pairs.stiffness, pairs.damping, pairs.friction, touching.weights, touching.eased
+        pairs.stiffness, pairs.damping, pairs.friction, pairs.weights, pairs.eased
     )  # fmt: skip
-    anchor, anchored = m.friction.anchor, m.friction.anchored
-    start, chosen = (touching.block_start, touching.block_pair) if fresh else (pairs.block_start, pairs.block_pair)
-    width, frozen = force.shape[1] - PADDING, m.implicit.frozen[0]
+    anchor, anchored = m.anchor, m.anchored
+    start, chosen = (pairs.touch_start, pairs.touch_pair) if fresh else (pairs.block_start, pairs.block_pair)
+    width, frozen = force.shape[1] - PADDING, m.solver.frozen[0]
     for q in range(start[block], start[block + 1]):
         p = chosen[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, h, n = corners_of(x, i, j, k, l), reach[p], (normal[p, 0], normal[p, 1], normal[p, 2])
         if fresh:
-            at = Touch((weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), n, touching.distance[p])
+            at = Touch((weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]), n, pairs.distance[p])
         else:
             low, high = between(of[p] < 0, n, corners)
             if low - high > h:
@@ -349,10 +354,10 @@ MOST = 1.5
 
 @block_kernel
 def touch_part(part: int, m: ContactState, number: Long) -> None:
-    """Find which of a part of the close pairs touch at `last`: into `touching.pair` from the part's first place on."""
-    pairs, anchored, mesh, x = m.pairs, m.friction.anchored, faces_of(m), m.last
+    """Find which of a part of the close pairs touch at `last`: into `touching` from the part's first place on."""
+    pairs, anchored, mesh, x = m.pairs, m.anchored, faces_of(m), m.last
     pair, of, reach, normal = pairs.vertices, pairs.face, pairs.reach, pairs.normal
-    close, touching, weights, gap = pairs.close, m.touching.pair, m.touching.weights, m.touching.distance
+    close, touching, weights, gap = pairs.close, pairs.touching, pairs.weights, pairs.distance
     first, end = part * m.counts[CLOSE] // PARTS, (part + 1) * m.counts[CLOSE] // PARTS
     at_end = first
     for q in range(first, end):
@@ -377,19 +382,18 @@ def touch_part(part: int, m: ContactState, number: Long) -> None:
 
 @block_kernel
 def rate_block(block: int, m: ContactState) -> None:
-    """Find the greatest rate at which dashpots slow the block's vertices down, m.touching.rate [1/s]; see ease_part."""
-    touching, pair, damping, rate, mass = (
-        m.touching, m.pairs.vertices, m.pairs.damping, m.touching.rate, m.surface.mass
-    )  # fmt: skip
+    """Find the greatest rate at which dashpots slow the block's vertices down, m.rate [1/s]; see ease_part."""
+    pairs, rate, mass = m.pairs, m.rate, m.surface.mass
+    pair, damping, weights = pairs.vertices, pairs.damping, pairs.weights
     first, end = block * BLOCK, min((block + 1) * BLOCK, rate.shape[0])
     for i in range(first, end):
         rate[i] = 0.0
-    for q in range(touching.block_start[block], touching.block_start[block + 1]):
-        p = touching.block_pair[q]
+    for q in range(pairs.touch_start[block], pairs.touch_start[block + 1]):
+        p = pairs.touch_pair[q]
         for corner in range(4):
             i = pair[p, corner]
             if first <= i < end and mass[i] > 0.0:
-                rate[i] += 2.0 * damping[p] * abs(touching.weights[p, corner]) / mass[i]
+                rate[i] += 2.0 * damping[p] * abs(weights[p, corner]) / mass[i]
 
 
 @block_kernel
@@ -401,10 +405,10 @@ def ease_part(part: int, m: ContactState, dt: float) -> None:
     over a row, max_i sum_p 2 c_p |w_pi| / m_i (Gershgorin); an explicit step throws to and fro what is above 2 / dt.
     """
     for q in range(part * m.counts[TOUCHING] // PARTS, (part + 1) * m.counts[TOUCHING] // PARTS):
-        p, fastest = m.touching.pair[q], 0.0
+        p, fastest = m.pairs.touching[q], 0.0
         for corner in range(4):
-            fastest = max(fastest, m.touching.rate[m.pairs.vertices[p, corner]])
-        m.touching.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
+            fastest = max(fastest, m.rate[m.pairs.vertices[p, corner]])
+        m.pairs.eased[p] = MOST / (dt * fastest) if dt * fastest > MOST else 1.0
 
 
 touch_parts = over_blocks(touch_part, "m, number", WORTH, IN_TURN)
@@ -415,23 +419,23 @@ ease_parts = over_blocks(ease_part, "m, dt", WORTH, IN_TURN)
 @block_kernel
 def find_touching(m: ContactState, threads: int | None) -> None:
     """Find which close pairs touch at `last`, where, and the planes across them; others lose their anchors."""
-    touching = m.touching
-    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.xpbd.sweeps[0] == 0 else 0.0
+    pairs = m.pairs
+    number, dt = np.empty(PARTS, np.int64), m.clock[LAST_STEP] if m.solver.sweeps[0] == 0 else 0.0
     touch_parts(m, number, PARTS, m.counts[CLOSE], threads)
-    m.counts[TOUCHING] = close_up(touching.pair, m.counts[CLOSE], number)
-    share_out(m, touching.pair, m.counts[TOUCHING], touching.block_start, touching.block_pair, threads)
+    m.counts[TOUCHING] = close_up(pairs.touching, m.counts[CLOSE], number)
+    share_out(m, pairs.touching, m.counts[TOUCHING], pairs.touch_start, pairs.touch_pair, threads)
     if dt > 0.0:
-        rate_blocks(m, touching.block_start.shape[0] - 1, m.counts[TOUCHING], threads)
+        rate_blocks(m, pairs.touch_start.shape[0] - 1, m.counts[TOUCHING], threads)
     ease_parts(m, dt, PARTS, m.counts[TOUCHING], threads)
 
 
 @block_kernel
 def drag_part(part: int, m: ContactState, v: Float) -> None:
     """Set the anchors of a part of the pairs that touch at `last` and move at v (3, n), or drag them along."""
-    pairs, found, x, anchor, anchored = m.pairs, m.touching, m.last, m.friction.anchor, m.friction.anchored
+    pairs, x, anchor, anchored = m.pairs, m.last, m.anchor, m.anchored
     pair, reach, normal = pairs.vertices, pairs.reach, pairs.normal
     stiffness, damping, mu = pairs.stiffness, pairs.damping, pairs.friction
-    touching, weights, gap, eased = found.pair, found.weights, found.distance, found.eased
+    touching, weights, gap, eased = pairs.touching, pairs.weights, pairs.distance, pairs.eased
     for q in range(part * m.counts[TOUCHING] // PARTS, (part + 1) * m.counts[TOUCHING] // PARTS):
         p = touching[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -439,8 +443,8 @@ def drag_part(part: int, m: ContactState, v: Float) -> None:
         share = 0.0
         if anchored[p]:
             a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
-            if m.xpbd.sweeps[0] > 0 and m.kept.which[p]:
-                share = m.xpbd.force[p, 3]
+            if m.solver.sweeps[0] > 0 and m.solver.kept[p]:
+                share = m.solver.force[p, 3]
             else:
                 _, size = unit(across(weigh(a, corners_of(x, i, j, k, l)), n))
                 u = weigh(w, corners_of(v, i, j, k, l))

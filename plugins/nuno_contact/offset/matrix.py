@@ -99,19 +99,19 @@ def foresee(m: ContactState, x: Float, d: Float, out: Float) -> bool:
     """
     pairs = m.pairs
     pair, of, reach, stiffness = pairs.vertices, pairs.face, pairs.reach, pairs.stiffness
-    expected, mesh, changed, n = m.implicit.expected, faces_of(m), False, x.shape[1]
+    expected, mesh, changed, n = m.solver.expected, faces_of(m), False, x.shape[1]
     if m.bodies.local.shape[0] > 0:
-        copy_part(x, m.whole.x, 0, n)
-        copy_part(d, m.whole.way, 0, n)
-        for i in range(n, m.whole.way.shape[1]):
+        copy_part(x, m.whole, 0, n)
+        copy_part(d, m.way, 0, n)
+        for i in range(n, m.way.shape[1]):
             for row in range(3):
-                m.whole.way[row, i] = m.whole.goal[row, i] - m.whole.x[row, i]
-        x, d = m.whole.x, m.whole.way
+                m.way[row, i] = m.goal[row, i] - m.whole[row, i]
+        x, d = m.whole, m.way
     for q in range(m.counts[NEAR]):
         p = pairs.near[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
         corners, ways, h, waits = corners_of(x, i, j, k, l), corners_of(d, i, j, k, l), reach[p], False
-        here = frozen_touch(m, p, corners) if m.implicit.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.solver.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         closing = dot(here.normal, weigh(here.weights, ways))
         if here.distance >= h and here.distance < np.inf and here.distance + closing < h:
             waits, pull = True, stiffness[p] * (h - here.distance)
@@ -130,11 +130,11 @@ def fill_pairs(
     """Linearise the block's pairs at x (3, n), where forces were found last, with dv/dx = `rate` [1/s]."""
     pairs = m.pairs
     if m.bodies.local.shape[0] > 0:
-        x = m.whole.x
+        x = m.whole
     pair, of, reach, normal, mesh = pairs.vertices, pairs.face, pairs.reach, pairs.normal, faces_of(m)
     stiffness, damping, mu = pairs.stiffness, pairs.damping, pairs.friction
-    anchor, anchored, v, step = m.friction.anchor, m.friction.anchored, m.implicit.velocity, m.implicit.step[0]
-    expected, at = m.implicit.expected, pairs.block_start[block]
+    anchor, anchored, v, step = m.anchor, m.anchored, m.solver.velocity, m.solver.step[0]
+    expected, at = m.solver.expected, pairs.block_start[block]
     for q in range(pairs.block_start[block], pairs.block_start[block + 1]):
         p = pairs.block_pair[q]
         i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
@@ -142,7 +142,7 @@ def fill_pairs(
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), corners)
         if low - high > h and not expected[p]:
             continue
-        here = frozen_touch(m, p, corners) if m.implicit.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
+        here = frozen_touch(m, p, corners) if m.solver.frozen[0] else touch(x, i, of[p], corners, np.inf, mesh)
         if expected[p] or not here.distance < h:
             if expected[p]:
                 write_row(rows, at, p, here.weights, spread_out(stiffness[p], 0.0, 0.0, here.normal, here.normal))

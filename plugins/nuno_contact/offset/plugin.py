@@ -192,7 +192,7 @@ def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) 
     """Before an interval's first step from x (3, n), keep the lists, or begin anew if x is another state."""
     n, goal = x.shape[1], x
     if m.bodies.local.shape[0] > 0:
-        goal, m.bodies.still[0] = m.whole.goal, min(m.bodies.still[0], STANDS)
+        goal, m.bodies.still[0] = m.goal, min(m.bodies.still[0], STANDS)
         pose_solids(m, 0.0)
         copy_part(x, goal, 0, n)
     begin_whole(m, goal, same_rows(x, m.last), span, threads)
@@ -215,7 +215,7 @@ def begin_whole(m: ContactState, x: Float, goes_on: bool, span: float, threads: 
         copy_rows(x, m.last)
         clock[LIST_BEGUN], clock[LIST_WINDOW], clock[LIST_ROOM], clock[LAST_STEP] = 0.0, LISTS, 1.0, 0.0
         plan.unrest[:] = 0.0
-        m.friction.anchored[:] = False
+        m.anchored[:] = False
         m.counts[LISTED] = 0
         allow(m, plan.spread[1], plan.unrest[1], WINDOW, LEAST[1], MOST[1])
         set_out(m, plan.zeros, 1.0, WINDOW, True, threads)
@@ -258,10 +258,10 @@ def stored(k: float, h: float, distance: float) -> float:
 @kernel
 def measure_pairs(m: ContactState, x: Float) -> float:
     """Return the energy [J] of all contacts at x (3, n), with that of friction's springs, and bodies as they are."""
-    pairs, friction = m.pairs, m.friction
+    pairs, anchor, anchored = m.pairs, m.anchor, m.anchored
     if m.bodies.local.shape[0] > 0:
-        copy_part(x, m.whole.x, 0, x.shape[1])
-        x = m.whole.x
+        copy_part(x, m.whole, 0, x.shape[1])
+        x = m.whole
     pair, of, reach, stiffness, mesh, total = pairs.vertices, pairs.face, pairs.reach, pairs.stiffness, faces_of(m), 0.0
     for q in range(m.counts[NEAR]):
         p = pairs.near[q]
@@ -270,8 +270,8 @@ def measure_pairs(m: ContactState, x: Float) -> float:
         at = touch(x, i, of[p], corners, reach[p], mesh)
         if at.distance < reach[p]:
             total += stored(stiffness[p], reach[p], at.distance)
-            if friction.anchored[p]:
-                a = (friction.anchor[p, 0], friction.anchor[p, 1], friction.anchor[p, 2], friction.anchor[p, 3])
+            if anchored[p]:
+                a = (anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3])
                 e = across(weigh(a, corners), at.normal)
                 total += 0.5 * stiffness[p] * dot(e, e)
     return total
@@ -306,8 +306,8 @@ def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
 
 
 def take_step(m: ContactState, rate: float) -> None:
-    """Let forces act as at the end of steps of 1 / rate [s]; see ImplicitScratch.step."""
-    m.implicit.step[0], m.implicit.calm[0], m.implicit.frozen[0] = 1.0 / rate, 0, False
+    """Let forces act as at the end of steps of 1 / rate [s]; see SolverScratch.step."""
+    m.solver.step[0], m.solver.calm[0], m.solver.frozen[0] = 1.0 / rate, 0, False
 
 
 def make_no_batches(m: ContactState, vertices: int) -> tuple[()]:
@@ -368,8 +368,8 @@ register(
     ContactState,
     name="cloth_contact",
     memory=(
-        "friction.anchor",
-        "friction.anchored",
+        "anchor",
+        "anchored",
         "plan.reference",
         "plan.motion",
         "plan.spread",

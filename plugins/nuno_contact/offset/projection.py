@@ -60,7 +60,7 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
     if m.bodies.local.shape[0] == 0:
         project_whole(m, moved, s, threads)
         return
-    n, all_of = moved.x.shape[1], m.whole.goal.shape
+    n, all_of = moved.x.shape[1], m.goal.shape
     x, u, y, mobility = np.empty(all_of), np.empty(all_of), np.empty(all_of), np.zeros((1, all_of[1]))
     copy_part(moved.x, x, 0, n)
     copy_part(moved.u, u, 0, n)
@@ -70,7 +70,7 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
     copy_part(m.last, x, n, all_of[1])
     for row in range(3):
         for i in range(n, all_of[1]):
-            u[row, i] = m.whole.goal[row, i] - x[row, i]
+            u[row, i] = m.goal[row, i] - x[row, i]
     project_whole(m, Displaced(x, u, y, y, mobility, moved.inverse_step), s, threads)
     copy_part(u, moved.u, 0, n)
 
@@ -85,16 +85,16 @@ def project_whole(m: ContactState, moved: Displaced, s: float, threads: int | No
             y[row, i] = x[row, i] + u[row, i]
     if not all_finite(y):
         return
-    if m.xpbd.sweeps[0] == 0:
+    if m.solver.sweeps[0] == 0:
         cover(m, y, s, threads)
         for q in range(m.counts[NEAR]):
-            m.kept.which[near[q]] = False
+            m.solver.kept[near[q]] = False
     gather(m, y)
     for _ in range(SWEEPS):
-        last, forth, most = m.counts[CLOSE] - 1, m.xpbd.sweeps[0] % 2 == 0, 0.0
+        last, forth, most = m.counts[CLOSE] - 1, m.solver.sweeps[0] % 2 == 0, 0.0
         for q in range(last + 1):
             most = max(most, solve_pair(m, pairs.close[q if forth else last - q], moved))
-        m.xpbd.sweeps[0] += 1
+        m.solver.sweeps[0] += 1
         if most < SETTLED * m.surface.law[0]:
             break
 
@@ -110,34 +110,34 @@ def gather(m: ContactState, y: Float) -> None:
         there = corners_of(y, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
         low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
         close[number] = p
-        number += 1 if m.kept.which[p] or low - high < 2.0 * reach[p] else 0
+        number += 1 if m.solver.kept[p] or low - high < 2.0 * reach[p] else 0
     m.counts[CLOSE] = number
 
 
 @block_kernel
 def solve_pair(m: ContactState, p: int, moved: Displaced) -> float:
     """Compute a pair's force anew, and move its vertices by it; return the change of their way [m]."""
-    former, x, y, z = bool(m.kept.which[p]), 0.0, 0.0, 0.0
+    former, x, y, z = bool(m.solver.kept[p]), 0.0, 0.0, 0.0
     if former:
-        x, y, z = m.xpbd.force[p, 0], m.xpbd.force[p, 1], m.xpbd.force[p, 2]
+        x, y, z = m.solver.force[p, 0], m.solver.force[p, 1], m.solver.force[p, 2]
         add(m, p, moved, -1.0)
-    m.kept.which[p] = find_force(m, p, moved)
-    if m.kept.which[p]:
-        x, y, z = x - m.xpbd.force[p, 0], y - m.xpbd.force[p, 1], z - m.xpbd.force[p, 2]
+    m.solver.kept[p] = find_force(m, p, moved)
+    if m.solver.kept[p]:
+        x, y, z = x - m.solver.force[p, 0], y - m.solver.force[p, 1], z - m.solver.force[p, 2]
         add(m, p, moved, 1.0)
     elif not former:
         return 0.0
     both = 0.0
     for corner in range(4):
-        w = m.kept.weights[p, corner]
+        w = m.solver.kept_weights[p, corner]
         both += w * w * moved.mobility[0, m.pairs.vertices[p, corner]]
     return both * math.sqrt(x * x + y * y + z * z)
 
 
 @block_kernel
 def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
-    """Compute the force of a pair that has none, m.xpbd.force and m.kept.weights; return whether there is any."""
-    pairs, friction = m.pairs, m.friction
+    """Compute the `force` of a pair that has none, and its `kept_weights`; return whether there is any."""
+    pairs, anchor, anchored = m.pairs, m.anchor, m.anchored
     x, u, y, mobility, inverse_step, pair = (
         moved.x,
         moved.u,
@@ -177,9 +177,9 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
         pressed = max(pressed, (floor - at.distance) / max(both, LEVER * least))
     t = across(gone, n)
     e = t
-    if friction.anchored[p]:
+    if anchored[p]:
         e = across(
-            weigh((friction.anchor[p, 0], friction.anchor[p, 1], friction.anchor[p, 2], friction.anchor[p, 3]), there),
+            weigh((anchor[p, 0], anchor[p, 1], anchor[p, 2], anchor[p, 3]), there),
             n,
         )
     share = -1.0 / (1.0 + (stiff + rate) * both)
@@ -188,11 +188,11 @@ def find_force(m: ContactState, p: int, moved: Displaced) -> bool:
     )  # fmt: skip
     size, most = math.sqrt(dot(f, f)), pairs.friction[p] * pressed
     share = most / size if size > most else 1.0
-    m.xpbd.force[p, 3] = share
+    m.solver.force[p, 3] = share
     for row in range(3):
-        m.xpbd.force[p, row] = share * f[row] + pressed * n[row]
+        m.solver.force[p, row] = share * f[row] + pressed * n[row]
     for corner in range(4):
-        m.kept.weights[p, corner] = w[corner]
+        m.solver.kept_weights[p, corner] = w[corner]
     return True
 
 
@@ -202,9 +202,9 @@ def add(m: ContactState, p: int, moved: Displaced, sign: float) -> None:
     u, y, mobility = moved.u, moved.y, moved.mobility
     for corner in range(4):
         v = m.pairs.vertices[p, corner]
-        scale = sign * m.kept.weights[p, corner] * mobility[0, v]
+        scale = sign * m.solver.kept_weights[p, corner] * mobility[0, v]
         for row in range(3):
-            way = scale * m.xpbd.force[p, row]
+            way = scale * m.solver.force[p, row]
             u[row, v] += way
             y[row, v] += way
 

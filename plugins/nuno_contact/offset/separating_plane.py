@@ -188,7 +188,7 @@ def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None)
         return False
     if m.bodies.local.shape[0] == 0:
         return restrain_whole(m, y, d, s, threads)
-    n, whole, way, goal = y.shape[1], m.whole.x, m.whole.way, m.whole.goal
+    n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
     pose_solids(m, s)
     if same_rows(y, m.last):
         copy_part(m.last, whole, n, way.shape[1])
@@ -216,13 +216,13 @@ def restrain_whole(m: ContactState, y: Float, d: Float, s: float, threads: int |
             break
         d *= 0.25
         cover(m, sum_rows(y, 1.0, d), s, threads)
-    m.implicit.expected[:] = False
+    m.solver.expected[:] = False
     if not find_shares(m, y, d, STOP) and not shortened:
-        m.implicit.calm[0] += 1
-        if m.implicit.calm[0] % REFREEZE == FREEZE or (m.implicit.frozen[0] and m.counts[CHOICES] > lists):
+        m.solver.calm[0] += 1
+        if m.solver.calm[0] % REFREEZE == FREEZE or (m.solver.frozen[0] and m.counts[CHOICES] > lists):
             freeze(m, y)
         return False
-    m.implicit.calm[0], m.implicit.frozen[0] = 0, False
+    m.solver.calm[0], m.solver.frozen[0] = 0, False
     for i in range(d.shape[1]):
         for row in range(3):
             d[row, i] *= m.share[i]
@@ -238,16 +238,16 @@ def freeze(m: ContactState, y: Float) -> None:
     """
     pairs = m.pairs
     mesh = faces_of(m)
-    m.kept.which[: m.counts[LISTED]] = False
+    m.solver.kept[: m.counts[LISTED]] = False
     for q in range(m.counts[NEAR]):
         p = pairs.near[q]
         i, j, k, l = pairs.vertices[p, 0], pairs.vertices[p, 1], pairs.vertices[p, 2], pairs.vertices[p, 3]  # noqa: E741
         at = touch(y, i, pairs.face[p], corners_of(y, i, j, k, l), FROZEN_WITHIN * pairs.reach[p], mesh)
-        m.kept.which[p] = at.distance < FROZEN_WITHIN * pairs.reach[p]
-        m.kept.normal[p, 0], m.kept.normal[p, 1], m.kept.normal[p, 2] = at.normal
+        m.solver.kept[p] = at.distance < FROZEN_WITHIN * pairs.reach[p]
+        m.solver.kept_normal[p, 0], m.solver.kept_normal[p, 1], m.solver.kept_normal[p, 2] = at.normal
         for corner in range(4):
-            m.kept.weights[p, corner] = at.weights[corner]
-    m.implicit.frozen[0] = True
+            m.solver.kept_weights[p, corner] = at.weights[corner]
+    m.solver.frozen[0] = True
 
 
 @block_kernel

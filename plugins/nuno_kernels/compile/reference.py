@@ -4,7 +4,8 @@ numba passes a named tuple item by item, and each array as its pointer, shape an
 arrays more than five hundred numbers at every call, a third of the time to compile contact, and a tenth of its steps. A
 tuple of a class that is registered here stays in the memory of the kernel that Python called, and others get its
 address; an array is loaded where it is used. Threads can get it as well, unlike a tuple of tuples. A field of such a
-class is kept as its address, so that a tuple of many arrays can be parted into tuples with names.
+class lies within the tuple's memory, and its address costs nothing: a tuple of many arrays can be parted into tuples
+with names.
 
 A tuple that a kernel itself makes of such a class is numba's tuple, as ever.
 """
@@ -22,6 +23,8 @@ from numba.core.typing.typeof import typeof_impl
 from numba.extending import NativeValue, infer_getattr, lower_getattr_generic, models, register_model, unbox
 
 T = TypeVar("T", bound=type)
+CLASSES: set[type] = set()
+"""those that are passed by reference"""
 
 
 class Reference(types.Type):  # type: ignore[misc]
@@ -112,22 +115,35 @@ class _Typed(AttributeTemplate):  # type: ignore[misc]
     key = Reference
 
     def generic_resolve(self, reference: Reference, name: str) -> Any:
-        return reference.types[reference.held.fields.index(name)] if name in reference.held.fields else None
+        if name not in reference.held.fields:
+            return None
+        kind = reference.types[reference.held.fields.index(name)]
+        return Reference(kind) if _is_part(kind) else kind
+
+
+def _is_part(kind: types.Type) -> bool:
+    """Whether a field's type is a tuple that lies within the one that has the field."""
+    return isinstance(kind, types.NamedTuple) and kind.instance_class in CLASSES
 
 
 @lower_getattr_generic(Reference)  # type: ignore[untyped-decorator]
 def _load(context: Any, builder: Any, reference: Reference, value: Any, name: str) -> Any:
     at = reference.held.fields.index(name)
-    item = builder.load(cgutils.gep_inbounds(builder, value, 0, at))
-    return impl_ret_borrowed(context, builder, reference.types[at], item)
+    place = cgutils.gep_inbounds(builder, value, 0, at)
+    if _is_part(reference.types[at]):
+        return place
+    return impl_ret_borrowed(context, builder, reference.types[at], builder.load(place))
 
 
 def by_reference(kind: T) -> T:
     """Make kernels pass tuples of a class by reference."""
+    CLASSES.add(kind)
 
     @typeof_impl.register(kind)  # type: ignore[untyped-decorator]
     def _(value: Any, c: Any) -> Reference | None:
         items = [typeof_impl(one, c) for one in value]
-        return None if None in items else Reference(types.NamedTuple(items, kind))
+        if None in items:
+            return None
+        return Reference(types.NamedTuple([one.held if isinstance(one, Reference) else one for one in items], kind))
 
     return kind
