@@ -13,10 +13,10 @@ from scenes import write_scene
 
 from nuno.cli import main
 from nuno.exports.animations import Shot, export_animation
-from nuno.exports.camera import SIDES, turned, z_up
+from nuno.exports.camera import NARROW, SIDES, turned, z_up
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import Changes
-from nuno.exports.pictures import FREE_CLOSE, ROOM, Painter, draw_turn
+from nuno.exports.pictures import ROOM, Painter, draw_turn
 from nuno.recording.reader import open_recording
 from nuno_schemas.fabric import Float
 from nuno_schemas.pictures import axes
@@ -78,7 +78,7 @@ def test_a_close_camera_fills_the_picture_with_the_cloth_alone(path: Path, more:
         assert near.legend is not None
         cloth, everything = z_up(frame.x), np.concatenate([mesh.vertices for mesh in near.meshes(frame)])
         low, high = reach(near, cloth)
-        edge = 1.0 - 2.0 * (FREE_CLOSE + ROOM)
+        edge = 1.0 - 2.0 * (NARROW + ROOM)
         widest = int(np.argmax(high - low))
         assert (low[widest], high[widest]) == pytest.approx((-edge, edge), abs=1e-9)
         assert low.min() > -edge - 1e-9 and high.max() < edge + 1e-9
