@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from nuno.cli import installation as doctor
-from nuno.cli import main
+from nuno.cli import doctor, main
 from nuno_bench.peers.command import choose, leave_out
 from nuno_bench.peers.process import SHEET_KINDS
 from nuno_bench.report.page import Result

@@ -212,7 +212,7 @@ def test_what_is_attended_gives_and_raises_what_it_does() -> None:
 @pytest.mark.parametrize("words", [["plan"], ["run", "--no-view", "--no-record"]])
 def test_a_signal_ends_trials(words: list[str], number: signal.Signals, tmp_path: Path) -> None:
     path = write_long(tmp_path, STIFF, solver={"plugin": "symplectic_euler"}, accuracy="normal")
-    code = "from nuno import cli\nfrom nuno.simulation.solver_selection import budget\nbudget.SILENT = -1.0\n"
+    code = "from nuno import cli\nfrom nuno.simulation.solver_selection import trials\ntrials.SILENT = -1.0\n"
     code += "process.leave(cli.main(sys.argv[1:]))"
     with command(code, words[0], str(path), *words[1:]) as child:
         read_until(child, "trying symplectic_euler with ")

@@ -140,7 +140,7 @@ def test_a_live_view_skips_pictures_but_not_the_last(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dyed, "LIVE_SECONDS", 1e9)
-    monkeypatch.setattr("nuno.viewer.service.Bridge", functools.partial(Bridge, live=True))
+    monkeypatch.setattr("nuno.viewer.file.Bridge", functools.partial(Bridge, live=True))
     assert sorted(pictures(feed(run, tmp_path / "a.rrd"))) == [0, 10]
 
 

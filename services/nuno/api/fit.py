@@ -304,7 +304,7 @@ def measure(
     x (n, 3) [m] are its vertices, y up; membrane its triangles; body the body's mesh, vertices (m, 3) and faces (g, 3);
     heights [m] by name; panels those of the membrane's triangles.
     """
-    corners = _corners(membrane)
+    corners = _corners(membrane.along, membrane.across)
     girths = [_girth(place, height, x, membrane, corners, body) for place, height in heights.items()]
     return Fit(name, girths, find_openings(x, membrane, corners, body, panels), _strains(x, membrane))
 
@@ -324,10 +324,10 @@ def measure_pressure(membrane: Membrane, force: Float, normal: Float) -> Pressed
     return Pressed(pressed, float(outwards[touching].sum()) / pressed, high, float(outwards.sum()))
 
 
-def _corners(membrane: Membrane) -> Float:
+def _corners(along: Float, across: Float) -> Float:
     """Return the corners of each triangle as cut, shape (t, 3, 2), along warp and weft from the first [m]."""
     # The two sides from the first corner, as columns, times (along, across) are the cloth's unit vectors.
-    sides = np.linalg.inv(np.stack([membrane.along, membrane.across], axis=2))
+    sides = np.linalg.inv(np.stack([along, across], axis=2))
     return np.concatenate([np.zeros((len(sides), 1, 2)), sides.transpose(0, 2, 1)], axis=1)
 
 
@@ -505,8 +505,7 @@ def pull_across(x: Float, membrane: Membrane, face: Int, side: Int) -> tuple[Flo
     """Return the lengths as cut [m] of sides of triangles, each from a corner `side` (k,) of a `face` (k,) to the next,
     and the outward tension across them within the cloth [N/m], at x (n, 3) [m].
     """
-    flat = np.linalg.inv(np.stack([membrane.along[face], membrane.across[face]], axis=2)).transpose(0, 2, 1)
-    flat = np.concatenate([np.zeros((len(face), 1, 2)), flat], axis=1)
+    flat = _corners(membrane.along[face], membrane.across[face])
     placed = x[membrane.faces[face]]
     k = np.arange(len(face))
     start, end, third = ((k, (side + step) % 3) for step in range(3))

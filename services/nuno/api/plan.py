@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nuno.api.scene import Scene, as_texts, in_python, loaded
 from nuno.replay.verification import steppers
@@ -19,11 +19,13 @@ from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
 from nuno.simulation import cloth
 from nuno.simulation.cloth import texture_size
-from nuno.simulation.run import Simulation
 from nuno.simulation.solver_selection.cloth import decide
 from nuno.simulation.solver_selection.trials import Budget
 from nuno.simulation.start_checks import start_warnings
 from nuno_schemas.bodies import Geometry, Poses
+
+if TYPE_CHECKING:
+    from nuno.simulation.run import Simulation
 
 Row = tuple[str, str]
 
@@ -76,6 +78,8 @@ def describe(loaded: Loaded, budget: Budget | None = None) -> Iterator[Row]:
 
 
 def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
+    from nuno.simulation.run import Simulation  # a dyeing without motion needs none
+
     simulation = Simulation.with_bodies(loaded)
     rows = _size(simulation) + _contacts(loaded)
     rows += [(operation["operation"], describe_start(operation["facts"])) for operation in simulation.arranged]

@@ -58,7 +58,7 @@ COMMANDS = {
         "a weaver's draft, a WIF file: what it holds, drawn in colours and at its scale",
     ),
     "schema": ("nuno.cli.installation", "JSON Schema of scenes, for editors"),
-    "doctor": ("nuno.cli.installation", "whether this machine has what nuno can use"),
+    "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }
 """Module and summary of each command; a module has `NAME_arguments(parser)` and `NAME_command(args)` for it.
 It is imported only when its command is given, so that `nuno run` does not pay for the rest."""

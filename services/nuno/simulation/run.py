@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from copy import copy, deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
@@ -58,6 +58,8 @@ RELAXATION = "relaxation"
 """Name of the array `Relaxation.memory` in the solver's memory."""
 ENERGY = "energy"
 """Name of the array `EnergyGrowth.account` in a checkpoint."""
+NUMBERS = "numbers"
+"""Name of the array `Simulation.numbers` in a checkpoint."""
 
 
 class Simulation(Stepper):
@@ -86,10 +88,9 @@ class Simulation(Stepper):
         self.leave = np.zeros(1, np.int64) if leave is None else leave
         self.loaded, self.geometry, self.threads = decide(loaded), geometry, threads or os.cpu_count() or 1
         simulate = partial(Simulation, geometry=geometry, poses=poses, threads=threads, leave=self.leave)
-        settled = settle(self.loaded, simulate)
-        self.rested = settled.objects
+        self.rested, settled = settle(self.loaded, simulate)
         self.fabric, self.pieces, arranged = cloth.build_with_facts(self.loaded, geometry, poses, self.rested)
-        self.arranged = [*settled.facts, *arranged]
+        self.arranged = [*settled, *arranged]
         if loaded.scene.until == "balance" and not self.fabric.bears_tension:
             problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
             raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
@@ -153,7 +154,7 @@ class Simulation(Stepper):
             self.memory.arrays.update(self.stillness.memory)
             self.memory.bounds["rest_frames"] = Bounds(0)
         self.relaxation = None
-        if _has_adaptive_damping(self.loaded):
+        if self.loaded.scene.damping == "auto":
             inertia = np.where(self.fabric.pinned, 0.0, self.fabric.mass)
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
             self.memory.arrays[RELAXATION] = self.relaxation.memory
@@ -386,7 +387,7 @@ class Simulation(Stepper):
         changed = copy(self)
         changed.loaded = load(data, lines, loaded.file, loaded.files)
         require_any_numbering(self.numbers, changed.loaded, item)
-        adaptive = _has_adaptive_damping(changed.loaded)
+        adaptive = changed.loaded.scene.damping == "auto"
         try:
             changed._prepare({name: memory[name] for name in memory if name != RELAXATION or adaptive})
             if step[1] > changed.limit.dt and not loaded.scene.allow_unstable:
@@ -619,17 +620,6 @@ class Simulation(Stepper):
         self._take(fabrics, cloth.start_state(join_fabrics(fabrics, self.loaded.scene.name)))
 
 
-def _has_adaptive_damping(loaded: Loaded) -> bool:
-    """Return whether damping is adaptive."""
-    return loaded.scene.damping == "auto"
-
-
-# A simulation whose cloth is changed by operations while it runs.
-
-NUMBERS = "numbers"
-"""Name of the array `Simulation.numbers` in a checkpoint."""
-
-
 # A coarse start: cloth comes to rest on fewer vertices first, where its model allows that. A frame of a garment at
 # half the length of edges takes five to ten times as long, and the motion that is left from the coarse rest is small.
 #
@@ -641,26 +631,21 @@ LONGEST = 6.0
 scene's duration, so that a run that is resumed for longer has the same start."""
 
 
-@dataclass(frozen=True)
-class Settled:
-    """Coarse state at rest of each object, and the facts for the report; both are empty where no model asks for it."""
-
-    objects: tuple[Rested, ...] = ()
-    facts: tuple[dict[str, Any], ...] = ()
-
-
-def settle(loaded: Loaded, simulate: Callable[[Loaded], Simulation]) -> Settled:
-    """Let a scene come to rest on fewer vertices, while its bodies stand where they start.
+def settle(
+    loaded: Loaded, simulate: Callable[[Loaded], Simulation]
+) -> tuple[tuple[Rested, ...], tuple[dict[str, Any], ...]]:
+    """Let a scene come to rest on fewer vertices, while its bodies stand where they start; return the coarse state at
+    rest of each object, and the facts for the report, both empty where no model asks for it.
 
     Raises BadInput where these vertices are too few, or a force knows vertices by number, and RunFailed where a step
     fails.
     """
     coarse = coarser(loaded)
     if coarse is None:
-        return Settled()
+        return (), ()
     stops = np.cumsum([model.plugin.count(model.config, coarse.files) for model in coarse.models]).tolist()
     if loaded.settled is not None and len(loaded.settled[0]) == stops[-1]:
-        return Settled(_split(coarse, stops, *loaded.settled))
+        return _split(coarse, stops, *loaded.settled), ()
     coarsened = next(i for i, model in enumerate(loaded.models) if model is not coarse.models[i])
     if not takes_any_numbering(loaded):
         error_of_force = BadInput("a force knows vertices by number: on coarser triangles they are others",
@@ -685,7 +670,7 @@ def settle(loaded: Loaded, simulate: Callable[[Loaded], Simulation]) -> Settled:
         "rested": float(simulation.stillness.rests), "seconds": time.perf_counter() - begin,
     }  # fmt: skip
     objects = _split(coarse, stops, simulation.fabric.position, simulation.state.x)
-    return Settled(objects, ({"operation": "coarse", "object": "", "facts": facts},))
+    return objects, ({"operation": "coarse", "object": "", "facts": facts},)
 
 
 def _split(coarse: Loaded, stops: list[int], start: Float, x: Float) -> tuple[Rested, ...]:

@@ -188,15 +188,17 @@ class Choice:
     options: Sequence[Option]
 
 
+def _named(folder: Path, kinds: Sequence[str]) -> list[Option]:
+    return [(path.name, path.name) for path in files_of(folder, kinds)]
+
+
 def bodies(folder: Path) -> Choice:
-    options = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "body", [*options, (NONE, "the mannequin that comes with nuno")])
+    return Choice("body", "body", [*_named(folder, MESHES), (NONE, "the mannequin that comes with nuno")])
 
 
 def patterns(folder: Path) -> Choice:
-    options = [(path.name, path.name) for path in files_of(folder, PATTERNS)]
     with_nuno = [(f"{OWN}{path.name}", f"{path.stem}, with nuno") for path in sorted(sewn().glob("*.yaml"))]
-    return Choice("pattern", "pattern", [*options, *with_nuno])
+    return Choice("pattern", "pattern", [*_named(folder, PATTERNS), *with_nuno])
 
 
 def motions(folder: Path) -> Choice:
@@ -218,18 +220,15 @@ def garments(_: Path) -> Choice:
 
 
 def stencils(folder: Path) -> Choice:
-    options = [(path.name, path.name) for path in files_of(folder, PICTURES)]
-    return Choice("stencil", "with", [(NONE, "no stencil"), *options])
+    return Choice("stencil", "with", [(NONE, "no stencil"), *_named(folder, PICTURES)])
 
 
 def drafts(folder: Path) -> Choice:
-    options = [(path.name, path.name) for path in files_of(folder, (".wif",))]
-    return Choice("draft", "draft", [*options, (NONE, "a twill that comes with nuno")])
+    return Choice("draft", "draft", [*_named(folder, (".wif",)), (NONE, "a twill that comes with nuno")])
 
 
 def below(folder: Path) -> Choice:
-    options = [(path.name, path.name) for path in files_of(folder, MESHES)]
-    return Choice("body", "on", [(NONE, "a ball"), *options])
+    return Choice("body", "on", [(NONE, "a ball"), *_named(folder, MESHES)])
 
 
 def sewn() -> Path:
