@@ -76,8 +76,8 @@ class DyeTrials:
         if key not in self.runs_by_key:
             begun, out, costs = _with_solver(self.loaded, name, start=key[2]), [], []
             dyeing = DyeRun(begun, os.cpu_count() or 1, key[1], self.budget.leave)
-            frames = many(self.frames, "frame")
-            with self.budget.trial(f"{name} with {many(key[1], 'step')} a frame on {frames} of dye"):
+            shown = many(self.frames, "frame")
+            with self.budget.trial(f"{name} with {many(key[1], 'step')} a frame on {shown} of dye"):
                 for _ in range(self.frames):
                     report = dyeing.advance().report
                     if report.status == "left":
