@@ -3,7 +3,7 @@
 Kernels use one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when only a callee in another
 module changes, so its folder carries a hash of the sources of the solvers' packages, the compile flags and the
 versions; it is set here, before any function is decorated. Kernels of other packages are keyed by all that they reach,
-see `nuno_kernels.compile.cache`.
+see `nuno_kernels.compilation.cache`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from numba.core import event
 from numba.extending import register_jitable
 
-from nuno_kernels.compile.cache import SOLVERS, dependencies_of, keep
-from nuno_kernels.compile.calling_convention import Borrowing, call_by_address, call_from_kernels
+from nuno_kernels.compilation.cache import SOLVERS, dependencies_of, keep
+from nuno_kernels.compilation.calling_convention import Borrowing, call_by_address, call_from_kernels
 
 # Compilation without garbage collection.
 #

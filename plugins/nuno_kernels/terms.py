@@ -22,8 +22,8 @@ from numba import prange, types
 from numba.extending import overload
 
 from nuno_kernels import FLAGS
-from nuno_kernels.compile.calling_convention import by_address
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.calling_convention import by_address
+from nuno_kernels.compilation.reference import by_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds

@@ -13,10 +13,10 @@ from pydantic import BaseModel
 from nuno_kernels import kernel
 from nuno_render.annotate import annotate
 from nuno_render.config import RasterConfig
-from nuno_render.light.ground import Ground, background, fade_at, find_ground, lay_floor
-from nuno_render.light.lighting import Lights, floor_openness, prepare_lights, shadow, tangents, unit
-from nuno_render.light.shade import shade_point
 from nuno_render.scene import DrawnScene, gather
+from nuno_render.shading.ground import Ground, background, fade_at, find_ground, lay_floor
+from nuno_render.shading.lighting import Lights, floor_openness, prepare_lights, shadow, tangents, unit
+from nuno_render.shading.shade import shade_point
 from nuno_render.sight import Sight, sight_of
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.fabric import Bool, Float, Int

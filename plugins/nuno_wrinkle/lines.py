@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from nuno_geometry.closest_point import leaf_distances, read_triangle, take_nearest
-from nuno_geometry.files.polygons import read_obj
+from nuno_geometry.mesh_files.polygons import read_obj
 from nuno_geometry.normals import face_normals
 from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from nuno_dye.cloths.woven_cloth import Layout, WovenConfig, build_cells, lay_measured
-from nuno_dye.drafts.weaves import draw_plain
 from nuno_dye.picture import TextureConfig, shade_window
+from nuno_dye.weaving_drafts.weaves import draw_plain
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.dye import Tortuosity
 from nuno_schemas.pictures import Window

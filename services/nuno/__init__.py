@@ -12,12 +12,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nuno.api.active_run import Heard, drive, watch
-    from nuno.api.plan import Plan, plan
-    from nuno.api.recordings import export, states, verify
-    from nuno.api.recordings import open_file as open
-    from nuno.api.run import Result, resume, run
-    from nuno.api.scene import Scene
+    from nuno.python_api.active_run import Heard, drive, watch
+    from nuno.python_api.plan import Plan, plan
+    from nuno.python_api.recordings import export, states, verify
+    from nuno.python_api.recordings import open_file as open
+    from nuno.python_api.run import Result, resume, run
+    from nuno.python_api.scene import Scene
     from nuno.recording.reader import Recording
     from nuno.replay.frame_state import FrameState
     from nuno_bench.sweep.grid import sweep
@@ -41,11 +41,11 @@ __all__ = [
     "watch",
 ]  # fmt: skip
 PLACES = {
-    "nuno.api.active_run": ("Heard", "drive", "watch"),
-    "nuno.api.plan": ("Plan", "plan"),
-    "nuno.api.recordings": ("export", "open", "states", "verify"),
-    "nuno.api.run": ("Result", "resume", "run"),
-    "nuno.api.scene": ("Scene",),
+    "nuno.python_api.active_run": ("Heard", "drive", "watch"),
+    "nuno.python_api.plan": ("Plan", "plan"),
+    "nuno.python_api.recordings": ("export", "open", "states", "verify"),
+    "nuno.python_api.run": ("Result", "resume", "run"),
+    "nuno.python_api.scene": ("Scene",),
     "nuno.replay.frame_state": ("FrameState",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),

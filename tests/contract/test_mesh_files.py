@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
-from nuno_contact.figures.leg import leg_mesh
 from nuno_contact.sliding.plugin import check_meshes
 from nuno_geometry.check import check_closed, check_crossings, volume
-from nuno_geometry.files.mesh import load_mesh, read_closed
+from nuno_geometry.mesh_files.mesh import load_mesh, read_closed
 from nuno_geometry.sections import cut_mesh
 from nuno_schemas.bodies import MESH
 from nuno_schemas.errors import BadInput

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from nuno_cloth.models.mesh import Mesh
 from nuno_cloth.models.triangles import face_areas
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
-from nuno_contact.skin.rig import Rig, weights_of
+from nuno_contact.skinning.rig import Rig, weights_of
 from nuno_geometry.check import volume
-from nuno_geometry.files.mesh import clean_mesh, load_mesh, read_closed
-from nuno_geometry.files.polygons import triangulate
+from nuno_geometry.mesh_files.mesh import clean_mesh, load_mesh, read_closed
+from nuno_geometry.mesh_files.polygons import triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_wrinkle.lines import Line, read_lines

@@ -16,7 +16,7 @@ from nuno.collision.messages import decode_geometry, encode_geometry
 from nuno.scene.scene_file import read
 from nuno_contact.colliders import sdf as field_cache
 from nuno_contact.colliders.sdf import SdfCollider, SdfConfig
-from nuno_contact.fields.sample import sample_field
+from nuno_contact.distance_fields.sample import sample_field
 from nuno_contact.penalty.plugin import check
 from nuno_schemas.bodies import FIELD, MESH, Geometry, Poses
 from nuno_schemas.errors import BadInput

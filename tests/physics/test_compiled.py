@@ -21,10 +21,10 @@ from numba.core.runtime import _nrt_python, rtsys
 
 import nuno_kernels  # noqa: F401
 from nuno_kernels import FLAGS, block_kernel, kernel
-from nuno_kernels.compile import cache
-from nuno_kernels.compile.cache import CHECKSUM, keep
-from nuno_kernels.compile.calling_convention import Borrowing
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation import cache
+from nuno_kernels.compilation.cache import CHECKSUM, keep
+from nuno_kernels.compilation.calling_convention import Borrowing
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
 

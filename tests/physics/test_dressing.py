@@ -20,7 +20,7 @@ from nuno_contact.offset.tree import make_tree
 from nuno_contact.untangle.plugin import Untangle, UntangleConfig
 from nuno_contact.untangle.search import find_crossings
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric

@@ -15,7 +15,6 @@ from nuno.scene.files import SceneFiles
 from nuno_dye import picture as module
 from nuno_dye.cloths.cloth import Layout
 from nuno_dye.cloths.woven_cloth import lay_evenly
-from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.picture import (
     Shades,
     TextureConfig,
@@ -29,6 +28,7 @@ from nuno_dye.picture import (
     mix,
     shade_yarn,
 )
+from nuno_dye.weaving_drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput

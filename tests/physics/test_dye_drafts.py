@@ -16,9 +16,9 @@ from wif_texts import DOBBY, FLOOR_LOOM, SINKING
 
 from nuno.cli import main
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
-from nuno_dye.drafts.drawing import MARGIN, MARK, draw_draft
-from nuno_dye.drafts.weaves import draw_plain, draw_twill
-from nuno_dye.drafts.wif import read_wif
+from nuno_dye.weaving_drafts.drawing import MARGIN, MARK, draw_draft
+from nuno_dye.weaving_drafts.weaves import draw_plain, draw_twill
+from nuno_dye.weaving_drafts.wif import read_wif
 from nuno_schemas.errors import BadInput
 
 

@@ -24,11 +24,11 @@ from nuno_dye.cloths.woven_cloth import (
     lay_evenly,
     lay_measured,
 )
-from nuno_dye.drafts.weaves import draw_plain, draw_satin, draw_twill, find_satin_steps, read_matrix
 from nuno_dye.laws.diffusivity import face_values
 from nuno_dye.laws.isotherms import Langmuir
 from nuno_dye.picture import YarnsPicture, YarnsPictureConfig
 from nuno_dye.solvers.explicit import Explicit
+from nuno_dye.weaving_drafts.weaves import draw_plain, draw_satin, draw_twill, find_satin_steps, read_matrix
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Tortuosity
 from nuno_schemas.dyeing import DyeColour
 from nuno_schemas.errors import BadInput

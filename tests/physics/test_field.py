@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from contact_world import G, capsule, contact_for, fall, geometry, move
 
-from nuno_contact.fields.build import build_field
-from nuno_contact.fields.cells import Exact
-from nuno_contact.fields.sample import sample_field
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
+from nuno_contact.distance_fields.build import build_field
+from nuno_contact.distance_fields.cells import Exact
+from nuno_contact.distance_fields.sample import sample_field
 from nuno_contact.penalty.contact import Contact, add_contact, count_contacts
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree

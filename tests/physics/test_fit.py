@@ -13,9 +13,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 from sewing_patterns import column, moved, panel, pattern, read_pattern, stitch, together, tube
 
-from nuno.api.fit import cut, find_heights, measure, measure_pressure, measure_seams, trunk
 from nuno.cli.fit import describe
 from nuno.collision.bodies import outlines
+from nuno.python_api.fit import cut, find_heights, measure, measure_pressure, measure_seams, trunk
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.sewing.sew import sew

@@ -11,9 +11,9 @@ import pytest
 
 from nuno.cli import main
 from nuno.plugin_contract import registry
-from nuno_bench.instruments import sheet, specimens
-from nuno_bench.instruments.sheet import find_fabric
-from nuno_bench.instruments.specimens import mount
+from nuno_bench.fabric_tests import sheet, specimens
+from nuno_bench.fabric_tests.sheet import find_fabric
+from nuno_bench.fabric_tests.specimens import mount
 from nuno_bench.sweep.executor import Executor, Processes
 from nuno_bench.validation import statics
 from nuno_schemas.errors import BadInput, RunFailed

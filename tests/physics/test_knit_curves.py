@@ -10,9 +10,9 @@ import pytest
 from closed_meshes import box, outward, sphere, torus
 from knit_bodies import brute_depths, knit, samples, wrapped
 
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_geometry.tree import build_tree
 from nuno_knit.paths import Paths, find_paths
 from nuno_knit.repair import CHECKED, CLEAR, LIES, LOST, Repair, Repaired, YarnConfig, repair

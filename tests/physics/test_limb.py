@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from tubes import bent, straight, tube
 
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_geometry.centreline import find_axis, follow_axis
 from nuno_geometry.closest_point import closest_points
-from nuno_geometry.files.mesh import read_closed
 from nuno_geometry.harmonic import solve_harmonic
 from nuno_geometry.limb import Rows, find_limb, lay_rows
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_geometry.sections import cut_mesh
 from nuno_geometry.tree import build_tree
 from nuno_knit.structure import ROOM, Over, _lift_off

@@ -7,7 +7,7 @@ import pytest
 from knit_bodies import knit, wrapped
 
 from nuno.plugin_contract import registry
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_schemas.fabric import State
 from nuno_schemas.operation import Outcome, Surface
 

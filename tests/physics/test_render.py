@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial import Delaunay
 
 from nuno_render.config import Legend, RasterConfig
-from nuno_render.light.lighting import GROUND, KEY, SKY
 from nuno_render.raster import Raster, radiance, rasterise, sample_offsets
+from nuno_render.shading.lighting import GROUND, KEY, SKY
 from nuno_schemas.colour import colours, parse_hex, to_linear, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pictures import Camera, Mesh, axes, frame

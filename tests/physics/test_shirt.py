@@ -15,8 +15,8 @@ from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take
 from nuno_cloth.models.shirt_pattern import outline_of
 from nuno_cloth.models.triangles import face_areas, find_edges
 from nuno_cloth.models.wearer import find_wearer
-from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.person import torso_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
+from nuno_contact.body_shapes.person import torso_mesh
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput

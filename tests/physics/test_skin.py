@@ -22,8 +22,8 @@ from nuno_contact.colliders.skin import SkinCollider, SkinConfig, bones_of
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.hula import Hula, HulaConfig
 from nuno_contact.motions.rotations import from_axis_angle, multiply
-from nuno_contact.skin.figure import find_figure
-from nuno_contact.skin.weights import HEAT, find_weights, see_bones
+from nuno_contact.skinning.figure import find_figure
+from nuno_contact.skinning.weights import HEAT, find_weights, see_bones
 from nuno_geometry.check import volume
 from nuno_schemas.bodies import Skin, rotation_matrices
 from nuno_schemas.errors import BadInput

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nuno.api.fit import MEASURED
+from nuno.python_api.fit import MEASURED
 from nuno_cloth.models.skirt import SHARES, Skirt, SkirtConfig
-from nuno_contact.figures.person import torso_mesh
+from nuno_contact.body_shapes.person import torso_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

@@ -18,9 +18,9 @@ from nuno.scene.files import SceneFiles
 from nuno.simulation import cloth
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
 from nuno_cloth.models.skirt_over import find_height
-from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.person import HEIGHTS, torso_mesh
-from nuno_geometry.files.mesh import read_closed
+from nuno_contact.body_shapes.leg import leg_mesh
+from nuno_contact.body_shapes.person import HEIGHTS, torso_mesh
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_geometry.sections import cut_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int

@@ -15,7 +15,7 @@ from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import check_openings, check_place, check_stance
 from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.motions.rotations import from_axis_angle
-from nuno_contact.skin.figure import find_figure
+from nuno_contact.skinning.figure import find_figure
 from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput

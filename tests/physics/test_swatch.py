@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from nuno_cloth.models.skirt import Skirt
 from nuno_cloth.models.swatch import Swatch, SwatchConfig, lay
-from nuno_contact.figures.person import torso_mesh
+from nuno_contact.body_shapes.person import torso_mesh
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.sections import section_about
 from nuno_geometry.tree import build_tree

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nuno_contact.body_shapes.leg import LANDMARKS, leg_mesh
+from nuno_contact.body_shapes.person import ALONG, GIRTHS, HEIGHTS, JOINT, person_mesh
 from nuno_contact.colliders.mesh import MeshConfig, make_mannequin
-from nuno_contact.figures.leg import LANDMARKS, leg_mesh
-from nuno_contact.figures.person import ALONG, GIRTHS, HEIGHTS, JOINT, person_mesh
 from nuno_geometry.check import check_closed, check_crossings, volume
 from nuno_geometry.isosurface import find_isosurface, net_of
 from nuno_geometry.sections import cut_mesh, section_about

@@ -10,9 +10,9 @@ import pytest
 from straight_yarns import BARE, above, curves, everywhere, joined, parallel, plane, shares, worn
 
 from nuno_render.config import YarnsConfig
-from nuno_render.light.lighting import GROUND, KEY, SKY
 from nuno_render.rays.surfaces import fibre_highlight
 from nuno_render.rays.yarns import Lines, Yarns, radiance
+from nuno_render.shading.lighting import GROUND, KEY, SKY
 from nuno_schemas.colour import to_linear
 from nuno_schemas.errors import BadInput
 from nuno_schemas.pictures import Camera, Mesh, axes

@@ -14,7 +14,7 @@ from nuno.cli.common import load_scene
 from nuno.scene import shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 

@@ -18,9 +18,9 @@ import yaml
 from scenes import CHAIN, write_chain, write_scene
 
 import nuno
-from nuno.api.export import ExportRequest
 from nuno.cli import main
 from nuno.cli.recordings import export_arguments
+from nuno.python_api.export import ExportRequest
 from nuno.recording.writer import part_of
 from nuno.runtime.launch import Plan
 from nuno.runtime.outcome import Outcome

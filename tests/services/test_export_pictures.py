@@ -249,7 +249,7 @@ def test_nothing_is_begun_where_one_of_several_files_cannot_be(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("nuno.api.export._export", None)
+    monkeypatch.setattr("nuno.python_api.export._export", None)
     assert main(["export", str(path), "--npz", "a.npz", "--csv", "a.csv", *arguments.split()]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -13,12 +13,12 @@ import yaml
 from recorded_sheet import Sheet, write
 
 import nuno
-from nuno.api.export import tell_yarns
 from nuno.cli import main
 from nuno.exports.cloth import read_frame
 from nuno.exports.yarns import Form, export_yarns, make_yarns
+from nuno.python_api.export import tell_yarns
 from nuno.recording.reader import open_recording
-from nuno_contact.figures.leg import leg_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
 from nuno_schemas.fabric import Float

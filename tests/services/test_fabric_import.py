@@ -18,8 +18,8 @@ from nuno.cli import main
 from nuno.cli.textiles import digits, find_presets
 from nuno.plugin_contract import registry
 from nuno.scene.templates import import_sheet, read_values
-from nuno_bench.instruments import sheet, specimens, swatches
-from nuno_bench.instruments.sheet import cells, find_fabric
+from nuno_bench.fabric_tests import sheet, specimens, swatches
+from nuno_bench.fabric_tests.sheet import cells, find_fabric
 from nuno_bench.sweep.executor import Executor
 from nuno_cloth.fabrics.laboratory import SHEETS, UNUSED
 from nuno_schemas.errors import BadInput

@@ -18,7 +18,7 @@ from nuno.plugin_contract import registry
 from nuno.recording.mcap_file import McapFile
 from nuno.recording.reader import END, Recording
 from nuno.scene.files import SceneFiles
-from nuno_geometry.files.mesh import load_mesh
+from nuno_geometry.mesh_files.mesh import load_mesh
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.bodies import FIELD, DistanceField, Geometry
 from nuno_schemas.errors import BadInput

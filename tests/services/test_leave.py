@@ -21,11 +21,11 @@ from scenes import write_chain, write_scene
 
 import nuno
 from nuno import process
-from nuno.api import progress
-from nuno.api.plan import RuntimeEstimate, run_seconds
-from nuno.api.progress import ProgressLine
 from nuno.cli import main
 from nuno.formatting import roughly
+from nuno.python_api import progress
+from nuno.python_api.plan import RuntimeEstimate, run_seconds
+from nuno.python_api.progress import ProgressLine
 from nuno.runtime import launch
 from nuno.runtime import service as watchdog
 from nuno.runtime.service import FrameWatchdog

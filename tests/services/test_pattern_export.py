@@ -18,13 +18,13 @@ from scenes import write_scene
 from sewing_patterns import read_pattern
 
 import nuno
-from nuno.api.fit import measure
 from nuno.cli import main
 from nuno.exports.cloth import cut_pieces, paint_stretch, read_frame, read_pieces
 from nuno.exports.meshes import export_mesh
 from nuno.exports.pattern import export_pattern, strains
 from nuno.plugin_contract.guards import check_fabric
 from nuno.plugin_contract.values import ContractError
+from nuno.python_api.fit import measure
 from nuno.recording.reader import open_recording
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import read
@@ -34,7 +34,7 @@ from nuno.simulation.renumbering import renumber
 from nuno_cloth.models.pattern import Pattern as PatternModel
 from nuno_cloth.models.pattern import PatternConfig
 from nuno_cloth.sewing.sew import sew
-from nuno_geometry.files.mesh import load_mesh
+from nuno_geometry.mesh_files.mesh import load_mesh
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float

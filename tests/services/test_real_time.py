@@ -11,8 +11,8 @@ from live_run import Run, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.api.plan import keep_up
 from nuno.cli import main
+from nuno.python_api.plan import keep_up
 from nuno.runtime.driver import Clock
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation

@@ -11,7 +11,7 @@ from live_run import PATIENCE, wait_until
 from studio_desk import FILE, SHEET, ask
 
 import nuno
-from nuno.api.plan import describe
+from nuno.python_api.plan import describe
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk

@@ -12,8 +12,8 @@ from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look, look_at_scene
 
 import nuno
-from nuno.api.plan import describe
 from nuno.plugin_contract import registry
+from nuno.python_api.plan import describe
 from nuno.report.run_report import lines
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk, swatches

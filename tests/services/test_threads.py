@@ -51,8 +51,8 @@ PROGRAM = """
 import hashlib, sys
 import numpy as np
 import nuno
-from nuno_contact.figures.leg import leg_mesh
-from nuno_contact.figures.person import torso_mesh
+from nuno_contact.body_shapes.leg import leg_mesh
+from nuno_contact.body_shapes.person import torso_mesh
 
 random = np.random.default_rng(0).random((2, 100, 3, 3))
 print(hashlib.sha256(np.array([a @ b for a, b in zip(*random)]).tobytes()).hexdigest())

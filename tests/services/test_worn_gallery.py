@@ -11,8 +11,8 @@ import trimesh
 from sewing_patterns import back, column, front, tube
 
 import nuno
-from nuno.api.fit import read_fits
 from nuno.cli import main, parser_of
+from nuno.python_api.fit import read_fits
 from nuno.scene import scene_file
 from nuno_bench.gallery import command as worn
 from nuno_bench.gallery import sewn

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from nuno.api.plan import RuntimeEstimate, run_seconds
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
+from nuno.python_api.plan import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options

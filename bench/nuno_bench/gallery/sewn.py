@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nuno.api.fit import read_fits, wearer
 from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import export_picture
+from nuno.python_api.fit import read_fits, wearer
 from nuno.recording.reader import Recording
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from nuno.api.run import Result, run_loaded, table_of
-from nuno.api.scene import Scene, as_texts, in_python, loaded
 from nuno.cli.common import add_scene, find_own, load_scene
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
+from nuno.python_api.run import Result, run_loaded, table_of
+from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_bench.instruments import specimens
+from nuno_bench.fabric_tests import specimens
 from nuno_bench.piles import DOWN, G, build_model
 from nuno_bench.validation.law import (
     ACCURATE,

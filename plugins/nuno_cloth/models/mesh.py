@@ -26,7 +26,7 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import Edges, face_areas, find_edges
 from nuno_cloth.quantities import Scale
-from nuno_geometry.files.mesh import join_vertices, load_mesh
+from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files

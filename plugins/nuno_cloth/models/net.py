@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from nuno_geometry.files.npz import NpzFile, Spec, open_npz, require_values
+from nuno_geometry.mesh_files.npz import NpzFile, Spec, open_npz, require_values
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int, Springs, Yarns
 from nuno_schemas.plugin import Config, Files

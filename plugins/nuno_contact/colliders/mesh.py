@@ -12,15 +12,15 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
+from nuno_contact.body_shapes.leg import LANDMARKS, leg_mesh
+from nuno_contact.body_shapes.person import GIRTHS, HEIGHTS, person_mesh, torso_mesh
+from nuno_contact.body_shapes.solids import box_mesh, cone_mesh
 from nuno_contact.colliders.shapes import ORIGIN, OnJoint, find_frame
-from nuno_contact.figures.leg import LANDMARKS, leg_mesh
-from nuno_contact.figures.person import GIRTHS, HEIGHTS, person_mesh, torso_mesh
-from nuno_contact.figures.solids import box_mesh, cone_mesh
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.quantities import Angle, Direction, Point, Reach, Size
 from nuno_geometry.check import crossing_notes
 from nuno_geometry.closest_point import Closest, closest_points
-from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_geometry.tree import build_tree
 from nuno_schemas.bodies import MESH, rotation_matrices
 from nuno_schemas.errors import BadInput

@@ -17,11 +17,11 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig, find_mesh, mesh_shape
-from nuno_contact.fields.build import build_field
-from nuno_contact.fields.sample import sample_field
+from nuno_contact.distance_fields.build import build_field
+from nuno_contact.distance_fields.sample import sample_field
 from nuno_contact.quantities import Size
 from nuno_geometry.check import check_closed, check_crossings, volume
-from nuno_geometry.files.mesh import read_mesh
+from nuno_geometry.mesh_files.mesh import read_mesh
 from nuno_geometry.normals import face_normals
 from nuno_kernels import CACHE
 from nuno_schemas.bodies import FIELD, DistanceField
@@ -52,7 +52,7 @@ def field_key(x: Float, faces: Int, tolerance: float, band: float | None, closed
 def cached_field(
     x: Float, faces: Int, tolerance: float, band: float | None, closed: bool, most_bytes: int
 ) -> DistanceField:
-    """Return `nuno_contact.fields.build.build_field`, from disk if it has been made before: the same bits.
+    """Return `nuno_contact.distance_fields.build.build_field`, from disk if it has been made before: the same bits.
 
     A file that cannot be read is made anew; a folder that cannot be written to is not used.
     """
@@ -111,7 +111,7 @@ class SdfConfig(MeshConfig):
 
 
 class SdfCollider:
-    """A rigid body on a joint of its motion, by a distance field (nuno_contact.fields.build), for penalty contact."""
+    """A rigid body on a joint of its motion, by a distance field (nuno_contact.distance_fields.build): penalty contact."""
 
     name: ClassVar[str] = "sdf"
     Config: ClassVar[type[BaseModel]] = SdfConfig
@@ -121,7 +121,7 @@ class SdfCollider:
         return MeshCollider().heights(config)
 
     def field(self, vertices: Float, faces: Int, tolerance: float) -> DistanceField:
-        """Build the field of a closed mesh, without the cache: see nuno_contact.fields.build."""
+        """Build the field of a closed mesh, without the cache: see nuno_contact.distance_fields.build."""
         return build_field(vertices, faces, tolerance)
 
     def sampler(self, field: DistanceField) -> Callable[[Float], Float]:

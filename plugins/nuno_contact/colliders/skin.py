@@ -14,12 +14,12 @@ from pydantic import BaseModel, Field
 from nuno_contact.colliders.body_parts import find_roles
 from nuno_contact.colliders.mesh import MeshCollider, Search, Surface
 from nuno_contact.quantities import Angle, Span
-from nuno_contact.skin.figure import Figure, find_figure
-from nuno_contact.skin.gait import find_lift, fit_gait
-from nuno_contact.skin.rig import Rig, fit_rig, read_rig, weights_of
-from nuno_contact.skin.weights import find_weights
+from nuno_contact.skinning.figure import Figure, find_figure
+from nuno_contact.skinning.gait import find_lift, fit_gait
+from nuno_contact.skinning.rig import Rig, fit_rig, read_rig, weights_of
+from nuno_contact.skinning.weights import find_weights
 from nuno_geometry.check import crossing_notes
-from nuno_geometry.files.mesh import read_closed
+from nuno_geometry.mesh_files.mesh import read_closed
 from nuno_schemas.bodies import SKIN, Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

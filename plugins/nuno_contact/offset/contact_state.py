@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_contact.offset.tree import MovingTree, adjacent_faces, make_tree, rings
 from nuno_kernels import block_kernel
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.step.blocks import Long, block_count
 from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Bool, Fabric, Float, Int

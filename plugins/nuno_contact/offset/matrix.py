@@ -25,7 +25,7 @@ from nuno_contact.offset.force import RAMP, STEEPEST, across, corners_of, faces_
 from nuno_contact.offset.proximity import Four, between, unit, weigh
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import PADDING
 from nuno_schemas.fabric import Float, Int

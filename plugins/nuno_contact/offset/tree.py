@@ -9,7 +9,7 @@ import numpy as np
 from nuno_geometry.normals import edge_numbers
 from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load, lower, splat
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int

@@ -42,7 +42,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.fields.sample import Fields, join_fields
+from nuno_contact.distance_fields.sample import Fields, join_fields
 from nuno_contact.penalty.distance import (  # fmt: skip
     BOX,
     CAPSULE,

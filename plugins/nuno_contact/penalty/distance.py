@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.fields.sample import Fields, sample, sample_distance
+from nuno_contact.distance_fields.sample import Fields, sample, sample_distance
 from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.fields.sample import Fields
+from nuno_contact.distance_fields.sample import Fields
 from nuno_contact.penalty.contact import (
     BLOCK,
     BodyContact,

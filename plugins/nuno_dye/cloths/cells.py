@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 from nuno_dye.cloths.cloth import Cloth, ClothConfig, Tau3Config
 from nuno_dye.quantities import CellSize
 from nuno_dye.supplies.resist import Resists, put_on
-from nuno_geometry.files.npz import NpzFile, Spec, open_npz, require_values
+from nuno_geometry.mesh_files.npz import NpzFile, Spec, open_npz, require_values
 from nuno_schemas.dye import Cells, DyeState
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -11,8 +11,11 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_dye.cloths.cloth import Cloth, ClothConfig, FibreConfig, Layout, Tau3Config, coarsen, thin_out
-from nuno_dye.drafts.drawing import draw_draft
-from nuno_dye.drafts.weaves import (
+from nuno_dye.quantities import Angle, Length, Metres, Share
+from nuno_dye.supplies.resist import read_image, stretch
+from nuno_dye.supplies.supply import find_dye
+from nuno_dye.weaving_drafts.drawing import draw_draft
+from nuno_dye.weaving_drafts.weaves import (
     MatrixConfig,
     PlainConfig,
     SatinConfig,
@@ -22,10 +25,7 @@ from nuno_dye.drafts.weaves import (
     draw_twill,
     read_matrix,
 )
-from nuno_dye.drafts.wif import UNDYED, Draft, Yarns, read_wif
-from nuno_dye.quantities import Angle, Length, Metres, Share
-from nuno_dye.supplies.resist import read_image, stretch
-from nuno_dye.supplies.supply import find_dye
+from nuno_dye.weaving_drafts.wif import UNDYED, Draft, Yarns, read_wif
 from nuno_schemas.dye import Cells, DyeState, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

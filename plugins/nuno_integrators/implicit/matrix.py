@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.terms import each, over_blocks, role_of

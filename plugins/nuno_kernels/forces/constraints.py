@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.forces.hinges import HingeLists, HingeRuns, hinge_shape
 from nuno_kernels.forces.springs import SpringLists, SpringRuns, listed_difference, run_constant, run_difference
 from nuno_kernels.lanes import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.forces.hinges import LONGEST, HingeLists, HingeRuns, add_waiting, hinge_shape
 from nuno_kernels.forces.springs import (
     FAR,

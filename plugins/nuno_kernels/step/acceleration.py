@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import block_kernel, shared_source
-from nuno_kernels.compile.reference import by_reference
+from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
 from nuno_kernels.terms import each, over_blocks, role_of

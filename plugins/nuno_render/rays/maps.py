@@ -12,12 +12,12 @@ from pydantic import BaseModel
 from nuno_kernels import block_kernel, kernel
 from nuno_render.annotate import annotate
 from nuno_render.config import Legend, MapConfig, grid_of
-from nuno_render.light.lighting import key_direction, unit
 from nuno_render.raster import encode_picture
 from nuno_render.rays.hits import make_buffers, meet_triangle
 from nuno_render.rays.surfaces import find_weights
 from nuno_render.rays.worn import Skin, check_eye, gather_skin
 from nuno_render.rays.yarns import draw_in_parts
+from nuno_render.shading.lighting import key_direction, unit
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import colours, parse_hex
 from nuno_schemas.errors import BadInput

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_render.light.ground import Ground, fade_at, lay_floor
-from nuno_render.light.shade import raise_point, sky
 from nuno_render.rays.hits import Buffers
 from nuno_render.rays.worn import Skin, Threads, free_way
+from nuno_render.shading.ground import Ground, fade_at, lay_floor
+from nuno_render.shading.shade import raise_point, sky
 from nuno_render.sight import place_sample, scramble
 from nuno_schemas.fabric import Float
 
@@ -40,7 +40,7 @@ BOUNCE = 0.55
 class Look(NamedTuple):
     """The settings of a picture by rays.
 
-    eye (3,)              [m]; direction, colour, up, sky, ground and spread as in nuno_render.light.lighting.Lights
+    eye (3,)              [m]; direction, colour, up, sky, ground and spread as in nuno_render.shading.lighting.Lights
     share                 of the light that passes a yarn; keep: the most capsules along a ray
     highlight, sharpness  strength and exponent of the yarns' highlight
     shadows, occlusion    whether the key light casts shadows, and whether yarns and bodies hide the sky

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_kernels import kernel
-from nuno_render.light.lighting import unit
 from nuno_render.rays.hits import (
     Buffers,
     RayTree,
@@ -19,6 +18,7 @@ from nuno_render.rays.hits import (
     triangle_tree,
 )
 from nuno_render.scene import join_meshes, join_rows, vertex_normals
+from nuno_render.shading.lighting import unit
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

@@ -14,12 +14,12 @@ from pydantic import BaseModel
 from nuno_kernels import block_kernel, kernel
 from nuno_render.annotate import annotate
 from nuno_render.config import CastConfig, LinesConfig, YarnsConfig, grid_of
-from nuno_render.light.ground import Ground, background, find_ground
-from nuno_render.light.lighting import GROUND, KEY, SKY, key_direction, unit
 from nuno_render.raster import encode_picture
 from nuno_render.rays.hits import Buffers, make_buffers, meet_triangle
 from nuno_render.rays.surfaces import Look, shade_floor, shade_skin, shade_yarn
 from nuno_render.rays.worn import Skin, Threads, check_eye, cross_yarns, gather_skin, gather_threads
+from nuno_render.shading.ground import Ground, background, find_ground
+from nuno_render.shading.lighting import GROUND, KEY, SKY, key_direction, unit
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput

@@ -46,11 +46,14 @@ COMMANDS = {
     ),
     "plugins": ("nuno.cli.installation", "which plugins are installed"),
     "scenes": ("nuno.cli.installation", "the scenes that come with nuno"),
-    "fabrics": ("nuno_bench.instruments.swatches", "the fabrics that scenes can name, in measured units, with sources"),
+    "fabrics": (
+        "nuno_bench.fabric_tests.swatches",
+        "the fabrics that scenes can name, in measured units; sources",
+    ),
     "fabric": ("nuno.cli.textiles", "a fabric from a laboratory's sheet: KES-F, FAST or a cantilever"),
     "sew": ("nuno.cli.sew", "a garment from its sewing pattern, put on a body; or what is wrong with the pattern"),
     "fit": ("nuno.cli.fit", "how a garment fits the body that wears it: girths, ease, strain, pressure"),
-    "test": ("nuno_bench.instruments.sheet", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
+    "test": ("nuno_bench.fabric_tests.sheet", "a fabric on virtual instruments: KES, ASTM D1388, Cusick's drapemeter"),
     "yarns": ("nuno.cli.textiles", "the yarns that knits can name, with sources"),
     "dyes": ("nuno.cli.textiles", "the dyes that scenes can name, with sources"),
     "weave": (

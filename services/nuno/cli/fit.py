@@ -7,9 +7,9 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from nuno.api.fit import Fit, Girth, Seam, Spread, read_fits
 from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
+from nuno.python_api.fit import Fit, Girth, Seam, Spread, read_fits
 from nuno.recording.reader import open_recording
 from nuno.runtime import runs
 from nuno_schemas.errors import BadInput

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
-from nuno.api.export import FILES, ExportRequest, Painted, ask, show_progress, write
-from nuno.api.progress import ProgressLine
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
@@ -21,6 +19,8 @@ from nuno.cli.common import add_config, add_flags, add_set, warn
 from nuno.exports.camera import Side, view_doubts
 from nuno.formatting import many, plain
 from nuno.process import state_of
+from nuno.python_api.export import FILES, ExportRequest, Painted, ask, show_progress, write
+from nuno.python_api.progress import ProgressLine
 from nuno.recording.reader import END, Lacks, Recording, find_lacks, open_recording, shortcoming
 from nuno.replay.publisher import Replay
 from nuno.replay.verification import Verification, verify

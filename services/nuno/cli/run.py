@@ -10,10 +10,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno.api.plan import describe, keep_up, line_of
-from nuno.api.progress import ProgressLine
 from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, load_scene
 from nuno.process import attended, ending_at_once
+from nuno.python_api.plan import describe, keep_up, line_of
+from nuno.python_api.progress import ProgressLine
 from nuno.recording.writer import check_target, part_of
 from nuno.report.run_report import make_report, row, show_report
 from nuno.runtime import log, runs, supervisor

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from nuno.api.plan import Row, describe
 from nuno.collision.bodies import build_bodies
 from nuno.formatting import for_json
 from nuno.process import check_unprotected
+from nuno.python_api.plan import Row, describe
 from nuno.recording.writer import part_of
 from nuno.scene import edit, scene_file, shipped, yaml_lines
 from nuno.scene.edit import put

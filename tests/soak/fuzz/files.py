@@ -104,7 +104,7 @@ def _mesh(kind: str, *words: str) -> Kind:
 
     name = {"file": f"input.{kind}"}
     cloth: list[Use] = [] if kind == "glb" else [("nuno.models", "mesh", name | {"merge": False})]
-    readers = tuple(f"nuno_geometry.files.{name}" for name in ("mesh", "polygons", "obj", "ply", "stl", "glb"))
+    readers = tuple(f"nuno_geometry.mesh_files.{name}" for name in ("mesh", "polygons", "obj", "ply", "stl", "glb"))
     follows = ("nuno_cloth.models.mesh", "nuno_cloth.models.membrane", *readers)
     return _file(kind.upper(), f".{kind}", lambda: mesh_seeds(kind), mutate, follows, *cloth,
                  ("nuno.colliders", "mesh", name))  # fmt: skip
@@ -217,8 +217,8 @@ FILES = (
     _file("BVH", ".bvh", lambda: [BVH], BVH_WORDS, ("nuno_contact.motions.bvh", "pybvh"),
           ("nuno.motions", "bvh", {"file": "input.bvh", "end": "loop"})),
     _mesh("obj", *OBJ_WORDS), _mesh("ply", *PLY_WORDS), _mesh("stl", *STL_WORDS), _mesh("glb"),
-    _file("WIF", ".wif", lambda: DRAFTS, WIF_WORDS, ("nuno_dye.drafts.wif", "nuno_dye.drafts.wif",
-    "nuno_dye.drafts.wif"),
+    _file("WIF", ".wif", lambda: DRAFTS, WIF_WORDS, ("nuno_dye.weaving_drafts.wif", "nuno_dye.weaving_drafts.wif",
+    "nuno_dye.weaving_drafts.wif"),
           _weave(False), _weave(True)),
     _file("PNG resist", ".png", lambda: [_image(mode) for mode in ("L", "LA", "1", "I;16")], IMAGE.mutate,
           ("nuno_dye.supplies.resist", *PNG_MODULES), _stencil("stretch"), _stencil("exact")),

@@ -177,7 +177,7 @@ OTHERS = ("dask", "jobs", "out", "over", "record", "resume", "root", "set", "thr
 @cache
 def _flag() -> re.Pattern[str]:
     """Return the pattern of a flag, with its value in an example."""
-    from nuno.api.export import ExportRequest
+    from nuno.python_api.export import ExportRequest
 
     names = "|".join([*ExportRequest.model_fields, *OTHERS])
     return re.compile(rf"(?<![^\s('\"])--({names})\b(?: (DIR|FILE\b|\S+=\S+|[A-Za-z0-9_]+\.[a-z0-9]+))?")

@@ -6,8 +6,8 @@ SIGGRAPH 2000). With d the distance of a point the error that is allowed there i
 
     tolerance max(1, d / band),
 
-and a cell is left whole if the largest error in its lattice (nuno_contact.fields.cells) is at most half of that which
-is allowed at its nearest, and its gradient at the surface does not turn away, as that of a cell does which reaches
+and a cell is left whole if the largest error in its lattice (nuno_contact.distance_fields.cells) is at most half of
+that which is allowed at its nearest, and its gradient at the surface does not turn away, as that of a cell does which reaches
 across a plate; or if its size alone keeps the error there: distance changes by no more than one goes, so that no
 point of a cell of edge h is off by more than sqrt(3)/2 h.
 
@@ -30,8 +30,8 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_contact.fields.cells import LATTICE, Exact, measure_errors
-from nuno_contact.fields.sample import Fields, blend, find_leaf, join_fields
+from nuno_contact.distance_fields.cells import LATTICE, Exact, measure_errors
+from nuno_contact.distance_fields.sample import Fields, blend, find_leaf, join_fields
 from nuno_geometry.tree import build_tree
 from nuno_kernels import kernel, parallel_kernel, threads_available
 from nuno_kernels.step.blocks import Long

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_geometry.check import place_of
-from nuno_geometry.files.polygons import RawMesh
+from nuno_geometry.mesh_files.polygons import RawMesh
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

@@ -49,7 +49,7 @@ FILES = {
 WRITERS = {
     **{name: f"nuno.replay.frame_state:export_{name}" for name in ("npz", "forces")},
     **{name: f"nuno.exports.tables:export_{name}" for name in ("csv", "scene")},
-    "yarns": "nuno.api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
+    "yarns": "nuno.python_api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
     **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
     "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
     **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),

@@ -23,9 +23,9 @@ from nuno.recording.reader import open_recording
 from nuno.scene import yaml_lines
 from nuno.scene.files import read_text
 from nuno_bench import machine, options
+from nuno_bench.fabric_tests import specimens
+from nuno_bench.fabric_tests.specimens import DOT, mount
 from nuno_bench.gallery.kind import embed, read_picture
-from nuno_bench.instruments import specimens
-from nuno_bench.instruments.specimens import DOT, mount
 from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number

@@ -28,7 +28,7 @@ from numba.core.typed_passes import NopythonTypeInference
 # kernel itself; Python calls a version of its own.
 #
 # The symbol of an address tells what the kernel reaches and for which types, so that kept machine code means the same
-# in every process; what a kept function calls is loaded before it is (nuno_kernels.compile.cache).
+# in every process; what a kept function calls is loaded before it is (nuno_kernels.compilation.cache).
 
 PREFIX = "nuno.apart."
 Place = tuple[str, str, tuple[Any, ...]]

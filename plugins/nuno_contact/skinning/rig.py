@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from nuno_contact.colliders.body_parts import find_roles
-from nuno_contact.skin.figure import Figure
-from nuno_contact.skin.gait import ALONG
-from nuno_contact.skin.weights import keep_largest
+from nuno_contact.skinning.figure import Figure
+from nuno_contact.skinning.gait import ALONG
+from nuno_contact.skinning.weights import keep_largest
 from nuno_geometry.check import place_of
-from nuno_geometry.files.glb import find_places, join_parts, open_glb, read_parts, way_up
-from nuno_geometry.files.mesh import LARGEST_FILE, find_vertices
+from nuno_geometry.mesh_files.glb import find_places, join_parts, open_glb, read_parts, way_up
+from nuno_geometry.mesh_files.mesh import LARGEST_FILE, find_vertices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Mover
@@ -42,7 +42,7 @@ class Rig:
     weight: Float
 
     def surface(self, path: Path) -> tuple[Float, Int]:
-        """Return its mesh, as nuno_geometry.files.mesh.load_surface does for a file."""
+        """Return its mesh, as nuno_geometry.mesh_files.mesh.load_surface does for a file."""
         return self.points, self.faces
 
 
@@ -142,7 +142,7 @@ def fit_rig(rig: Rig, roles: dict[str, int]) -> tuple[Figure, dict[str, int], In
 
 def weights_of(rig: Rig, goes: Int, x: Float) -> tuple[Int, Float]:
     """Return the parts that carry vertices x (v, 3), which are among the rig's points, and their weights, as
-    nuno_contact.skin.weights.find_weights does. Raises BadInput for a vertex that is not among them.
+    nuno_contact.skinning.weights.find_weights does. Raises BadInput for a vertex that is not among them.
     """
     nearest, _ = find_vertices(rig.points, rig.faces)
     size = SAME * float(np.ptp(x, axis=0).max())

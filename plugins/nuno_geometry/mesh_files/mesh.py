@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_geometry.check import check_closed, place_of
-from nuno_geometry.files.glb import read_glb
-from nuno_geometry.files.polygons import RawMesh, plain, read_obj, read_ply, triangulate
+from nuno_geometry.mesh_files.glb import read_glb
+from nuno_geometry.mesh_files.polygons import RawMesh, plain, read_obj, read_ply, triangulate
 from nuno_geometry.normals import edge_numbers, face_normals
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int

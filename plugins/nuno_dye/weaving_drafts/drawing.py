@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_dye.drafts.wif import Draft, Yarns, listed
+from nuno_dye.weaving_drafts.wif import Draft, Yarns, listed
 from nuno_schemas.colour import to_linear, to_srgb
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.pictures import DrawnDraft, Picture

@@ -12,12 +12,12 @@ import numpy as np
 import zenoh
 from numpy.typing import ArrayLike, NDArray
 
-from nuno.api.scene import in_python
 from nuno.bus.encodings import decode_arrays, decode_picture, decode_points
 from nuno.bus.health import Watch
 from nuno.bus.messages import ALL, Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.messages import LIVE_BODIES_QUERY, read_poses
+from nuno.python_api.scene import in_python
 from nuno.runtime import runs
 from nuno.runtime.driver import CONTROL
 from nuno.runtime.service import SUPERVISOR

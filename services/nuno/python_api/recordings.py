@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, overload
 
-from nuno.api.scene import as_texts, in_python
+from nuno.python_api.scene import as_texts, in_python
 from nuno.recording import reader
 from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.runtime import runs
@@ -101,12 +101,12 @@ def _warn(recording: Recording) -> None:
 def export(recording: Recorded, *overrides: str | Mapping[str, Any], **what: Any) -> list[Path]:
     """Write files of a recording, with the options of `nuno export`: nuno.export("last", glb="a.glb", frame=30).
 
-    what: fields of nuno.api.export.ExportRequest: a file for each wanted one of npz, forces, csv, png, gif, mp4, obj,
-    ply, glb, usd, rrd, foxglove, ros2, pattern and yarns, and frame, colour, size, view and so on. `overrides` are
+    what: fields of nuno.python_api.export.ExportRequest: a file for each wanted one of npz, forces, csv, png, gif, mp4,
+    obj, ply, glb, usd, rrd, foxglove, ros2, pattern and yarns, and frame, colour, size, view and so on. `overrides` are
     those of --set. Warns of a recording that is not complete. Raises BadInput.
     """
-    from nuno.api.export import ask, write
     from nuno.exports.camera import view_doubts
+    from nuno.python_api.export import ask, write
 
     if isinstance(size := what.get("size"), tuple | list) and len(size) == 2:
         what["size"] = f"{size[0]}x{size[1]}"

@@ -12,7 +12,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.drafts.weaves import MOST_CROSSINGS, MOST_YARNS, check_interlacing
+from nuno_dye.weaving_drafts.weaves import MOST_CROSSINGS, MOST_YARNS, check_interlacing
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float
 

@@ -21,7 +21,7 @@ import numpy as np
 from numba.core import dispatcher as numba_dispatcher
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-from nuno_kernels.compile.calling_convention import called_by_address, load_called
+from nuno_kernels.compilation.calling_convention import called_by_address, load_called
 
 # A compiled function's dependencies, all functions, constants and sources that it reaches, as one digest.
 #
@@ -168,7 +168,7 @@ class _Files(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _Results(CompileResultCacheImpl):  # type: ignore[misc]
-    """Machine code with what it calls by address (nuno_kernels.compile.calling_convention)."""
+    """Machine code with what it calls by address (nuno_kernels.compilation.calling_convention)."""
 
     def reduce(self, compiled: Any) -> Any:
         return called_by_address(compiled), super().reduce(compiled)

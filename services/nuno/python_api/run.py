@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nuno.api.plan import keep_up
-from nuno.api.recordings import Recorded, export, path_of
-from nuno.api.scene import Scene, as_texts, in_python, loaded
 from nuno.process import SIGNALS, scratch
+from nuno.python_api.plan import keep_up
+from nuno.python_api.recordings import Recorded, export, path_of
+from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.recorded import per_dye
 from nuno.recording.writer import part_of
@@ -125,7 +125,7 @@ def _progress_bar(scene: Loaded, progress: bool | None) -> Iterator[Progress | N
     if not (_bar_is_visible() if progress is None else progress):
         yield None
         return
-    from nuno.api.progress import ProgressLine
+    from nuno.python_api.progress import ProgressLine
 
     with ProgressLine(scene.scene, bar=True) as line:
         yield line.update

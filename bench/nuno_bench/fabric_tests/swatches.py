@@ -14,8 +14,8 @@ from nuno.exports.cloth import Pieces
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
 from nuno_bench import machine
+from nuno_bench.fabric_tests.specimens import count_nodes, measure
 from nuno_bench.gallery.kind import embed, read_picture
-from nuno_bench.instruments.specimens import count_nodes, measure
 from nuno_bench.report import page
 from nuno_schemas.pictures import Picture
 from nuno_schemas.preset import Preset

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nuno.api.scene import Scene, as_texts, in_python, loaded
+from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.replay.verification import steppers
 from nuno.report.run_report import describe_start
 from nuno.runtime.launch import make_plan

@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_contact.fields.winding import Dipoles, make_dipoles, winding
+from nuno_contact.distance_fields.winding import Dipoles, make_dipoles, winding
 from nuno_geometry.closest_point import closest
 from nuno_geometry.poses import Vector
 from nuno_geometry.tree import Room, Tree, make_room
@@ -35,7 +35,7 @@ ON_SURFACE = 1e-9
 def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room) -> tuple[float, Vector, int]:
     """Return (signed distance [m], its unit gradient, place of the nearest triangle), searching from place `start`.
 
-    With dipoles (nuno_contact.fields.winding) the sign is the winding number's, else the pseudonormal's.
+    With dipoles (nuno_contact.distance_fields.winding) the sign is the winding number's, else the pseudonormal's.
     """
     near = closest(p, start, 0, tree, room)
     distance, (gx, gy, gz) = near.distance, (p[0] - near.point[0], p[1] - near.point[1], p[2] - near.point[2])

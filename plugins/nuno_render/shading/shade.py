@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_render.light.lighting import Lights, openness, shadow
 from nuno_render.scene import DrawnScene, look_up
+from nuno_render.shading.lighting import Lights, openness, shadow
 from nuno_schemas.fabric import Float
 
 SHEEN_ROUGHNESS = 0.4

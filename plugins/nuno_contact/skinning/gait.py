@@ -26,7 +26,7 @@ from nuno_contact.motions.rotations import (
     rest_positions,
     slerp,
 )
-from nuno_contact.skin.figure import Figure
+from nuno_contact.skinning.figure import Figure
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int

@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_render.config import PictureConfig
-from nuno_render.light.shade import sky
+from nuno_render.shading.shade import sky
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.fabric import Float
 
@@ -72,7 +72,7 @@ def fade_at(dx: float, dy: float, dz: float, ground: Ground) -> float:
 @kernel
 def lay_floor(fade: float, lit: float, free: float, ground: Ground, lights: Any, out: Float) -> None:
     """Blend the floor's radiance into out (3,), which holds the background; lit, free: parts of the key light and of
-    the sky that reach it. `lights` have the needed fields of nuno_render.light.lighting.Lights.
+    the sky that reach it. `lights` have the needed fields of nuno_render.shading.lighting.Lights.
     """
     up, light, colour = lights.up, lights.direction, lights.colour
     nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)

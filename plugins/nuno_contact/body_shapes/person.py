@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nuno_contact.figures.leg import RINGS, monotone, scales_of
+from nuno_contact.body_shapes.leg import RINGS, monotone, scales_of
 from nuno_geometry.check import check_closed, crossing_notes
 from nuno_geometry.isosurface import Field, find_isosurface
 from nuno_schemas.errors import BadInput
@@ -24,7 +24,7 @@ from nuno_schemas.fabric import Float, Int
 # other would cut each other.
 #
 # Girths of waist and hip, and of the arm over the biceps, are the means to a millimetre of the 260 women in the data of
-# Heinz et al. (2003) (nuno_contact.figures.leg): 69.8, 95.7 and 28.1 cm. Bust (90 cm) and neck (33 cm), heights and
+# Heinz et al. (2003) (nuno_contact.body_shapes.leg): 69.8, 95.7 and 28.1 cm. Bust (90 cm) and neck (33 cm), heights and
 # profiles are chosen to look like a dress form of these girths, 164.9 cm tall were it whole.
 
 
@@ -245,7 +245,7 @@ def _at(places: Float, scale: Mapping[str, float], arms: float) -> Float:
 # A whole mannequin: the torso with legs, feet, arms, hands and a head without a face, as one smooth closed mesh.
 #
 # It stands in an A-pose, feet apart, so that trousers have room between its legs. Trunk, breasts and upper arms are
-# the torso's, with its girths; legs have the rings of nuno_contact.figures.leg down to the
+# the torso's, with its girths; legs have the rings of nuno_contact.body_shapes.leg down to the
 # ankle, and so the girths of thigh, knee, calf and ankle. Feet, forearms and hands are cones and ellipsoids, chosen to
 # look like those of a woman of 164.9 cm.
 
