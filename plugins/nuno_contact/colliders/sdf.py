@@ -111,7 +111,7 @@ class SdfConfig(MeshConfig):
 
 
 class SdfCollider:
-    """A rigid body on a joint of its motion, by a distance field (nuno_contact.distance_fields.build): penalty contact."""
+    """A rigid body on a joint of its motion, by a distance field (nuno_contact.distance_fields): penalty contact."""
 
     name: ClassVar[str] = "sdf"
     Config: ClassVar[type[BaseModel]] = SdfConfig

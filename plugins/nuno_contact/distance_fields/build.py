@@ -7,9 +7,9 @@ SIGGRAPH 2000). With d the distance of a point the error that is allowed there i
     tolerance max(1, d / band),
 
 and a cell is left whole if the largest error in its lattice (nuno_contact.distance_fields.cells) is at most half of
-that which is allowed at its nearest, and its gradient at the surface does not turn away, as that of a cell does which reaches
-across a plate; or if its size alone keeps the error there: distance changes by no more than one goes, so that no
-point of a cell of edge h is off by more than sqrt(3)/2 h.
+that which is allowed at its nearest, and its gradient at the surface does not turn away, as that of a cell does which
+reaches across a plate; or if its size alone keeps the error there: distance changes by no more than one goes, so that
+no point of a cell of edge h is off by more than sqrt(3)/2 h.
 
 Corners of a small cell on the face of a larger one take the larger one's interpolated values, from large to
 small (`join_leaves`): the field is continuous, and so is its gradient. That shifts small cells by up to their larger
