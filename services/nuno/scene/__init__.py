@@ -1,1 +1,1 @@
-"""From a scene's file to a run: reading, overrides, errors in the author's terms, solver and step."""
+"""From a scene's file to a run: reading, overrides, errors at their lines (`validation_errors`), solver and step."""
