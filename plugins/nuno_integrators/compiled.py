@@ -254,19 +254,23 @@ class Compiled(ABC):
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
-        packed = _set_poses(undisturbed(work.packed), poses)
-        extra = _enter(system, state, work, state.t)
-        return find_forces(system, state, packed, work.x, work.v, extra, poses)
+        packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
+        if poses is not None:
+            self._begin_at(packed, work, poses[1])
+        return find_forces(system, state, _set_poses(packed, poses), work.x, work.v, extra, poses)
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """See nuno_schemas.plugin.Integrator."""
         work: Work = memory.work  # type: ignore[assignment]
         packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
-        # After a change, or from a checkpoint, contact has no lists before its next step.
-        call_each(_set_poses(packed, (poses[1], poses[1])), "frame.begin", work.x, 0.0, packed.threads)
+        self._begin_at(packed, work, poses[1])
         free = self.free_forces(system, work, packed, extra)
         _set_poses(packed, poses)
         return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1], free)
+
+    def _begin_at(self, packed: Packed, work: Any, poses: Poses) -> None:
+        """Make the lists of contact, which has none after a change, or from a checkpoint, before its next step."""
+        call_each(_set_poses(packed, (poses, poses)), "frame.begin", work.x, 0.0, packed.threads)
 
     def free_forces(self, system: System, work: Any, packed: Packed, extra: Extra) -> Float | None:
         """Return the forces (n, 3) [N] of steps without sliding; None where they are those of the laws."""

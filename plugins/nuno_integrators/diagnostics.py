@@ -31,7 +31,7 @@ def find_forces(
     system: System, state: State, packed: Packed, x: Float, v: Float, extra: Extra,
     poses: tuple[Poses, Poses] | None,
 ) -> Forces:  # fmt: skip
-    """Return the forces in a state, which is also in x and v (3, n), with bodies as at the start of `poses`.
+    """Return the forces in a state, which is also in x and v (3, n), with bodies as at the end of `poses`.
 
     Each kind is computed by the kernels of a step with the others silent, so nothing is compiled for it; with masses of
     1 kg their accelerations are newtons. The reaction of sliding surfaces is found as for balance
@@ -41,7 +41,7 @@ def find_forces(
     bare = _bare(packed)
 
     def force(variant: Packed, python: Extra = None) -> Float:
-        return _force(variant, x, v, 0.0, python)
+        return _force(variant, x, v, 1.0, python)
 
     kinds = {"gravity": mass * np.asarray(system.gravity, np.float64)}
     if system.damping != 0.0:
@@ -51,7 +51,7 @@ def find_forces(
     if extra is not None:
         kinds["python"] = force(silence(bare, *names), extra)
     total = np.sum(list(kinds.values()), axis=0)
-    held = total if poses is None else _held(x, total, packed, poses[0])
+    held = total if poses is None else _held(x, total, packed, poses[1])
     if held is not total:
         kinds["contact"] = kinds.get("contact", np.zeros_like(total)) + (held - total)
     moved = np.where(system.fabric.pinned[:, None], 0.0, held / mass)

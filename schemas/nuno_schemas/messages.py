@@ -74,6 +74,8 @@ class Status(FrameStatus):
     """Largest |d| / rest - 1 over the springs. None: not finite."""
     wrinkles: dict[str, float | None] = {}
     """Height and width of the ridge that each operation raised [m], by its number: 0_height."""
+    counts: dict[str, int] = {}
+    """Counts of the frame's steps for the report, such as touching vertices."""
 
 
 class DyeStatus(FrameStatus):

@@ -209,8 +209,8 @@ class Integrator(Plugin, Protocol):
         ...
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
-        """Return the forces in a state by kind, with the bodies' poses and velocities at the start of the interval of
-        `poses`: an explicit method's next step begins with them. Changes neither state nor memory.
+        """Return the forces in a state by kind, with the bodies' poses and velocities at the end of the interval of
+        `poses`, as held vertices of the state have them. Changes neither state nor memory.
         """
         ...
 

@@ -88,6 +88,22 @@ def test_ease_is_what_was_cut_less_the_tape(girth: float, radius: float) -> None
         assert (spread.median, spread.high, spread.most) == pytest.approx((strain, strain, strain), abs=1e-9)
 
 
+@pytest.mark.parametrize(("radius", "centre", "tape"), [(0.3, 0.0, 2 * (0.39 + 0.15)), (0.11, -0.12, 0.6)])
+def test_below_the_crotch_the_tape_goes_round_what_the_cloth_goes_round(
+    radius: float, centre: float, tape: float
+) -> None:
+    """Two square legs: a skirt is round both, a trouser leg round one."""
+    legs = [trimesh.creation.box((0.15, 1.0, 0.15)) for _ in range(2)]
+    for leg, x in zip(legs, (0.12, -0.12), strict=True):
+        leg.apply_translation((x, 0.0, 0.0))
+    both = trimesh.util.concatenate(legs)
+    x, membrane = worn_tube(2.0, 0.4, radius)
+    x[:, 0] += centre
+    body = np.array(both.vertices), np.array(both.faces, np.int32)
+    (girth,) = measure("tube", x, membrane, body, {"low": 0.17}).girths
+    assert girth.body == pytest.approx(tape, rel=1e-12) and girth.ease == pytest.approx(2.0 - tape, rel=1e-9)
+
+
 def test_openings_that_share_a_vertex_are_told_apart() -> None:
     """Two squares that meet in a corner: their sides go round each, or round both in one, and none is lost."""
     faces = np.array([[0, 1, 2], [0, 2, 3], [2, 4, 5], [2, 5, 6]], np.int32)

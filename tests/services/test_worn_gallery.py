@@ -58,13 +58,17 @@ def test_each_pattern_is_put_on_as_by_nuno_sew(here: Path) -> None:
     flags = ["--edge", "4 cm", "--fabric", "denim"]
     assert main(["sew", "tube.json", *BODY, *flags, "--scene", "tube.yaml", "--write"]) == 0
     _, parser = parser_of("gallery")
-    given = parser.parse_args(["sewn", "--patterns", "tube.json", "other.json", *BODY, *flags])
+    given = parser.parse_args(["sewn", "--patterns", "tube.json", "other.json", "third.yaml", *BODY, *flags])
+    (here / "third.yaml").write_text((here / "other.json").read_text())  # JSON is YAML
     (here / "scenes").mkdir()
     scenes = worn.write_pattern_scenes(given, here / "scenes")
-    assert list(scenes) == ["tube", "other"]
+    assert list(scenes) == ["tube", "other", "third"]
     assert scenes["tube"].read_text() == (here / "tube.yaml").read_text().replace("column.obj", "body.obj")
-    loaded = scene_file.read(scenes["other"])
-    assert loaded.scene.name == "other" and loaded.scene.until == "rest"
+    for name in ("other", "third"):
+        loaded = scene_file.read(scenes[name])
+        assert loaded.scene.name == name and loaded.scene.until == "rest"
+        pattern = "other.json" if name == "other" else "third.yaml"
+        assert loaded.files.resolve(pattern).read_text() == (here / pattern).read_text()
 
 
 def test_what_passes_through_what_is_seen_but_for_a_body_through_itself() -> None:

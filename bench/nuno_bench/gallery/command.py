@@ -165,7 +165,7 @@ def write_pattern_scenes(args: argparse.Namespace, folder: Path) -> dict[str, Pa
     for pattern in args.patterns:
         shutil.copy(pattern, folder)
         garments = [Garment(name_garments([pattern.stem])[0], pattern.name, args.fabric)]
-        found[pattern.stem] = folder / f"{pattern.stem}.yaml"
+        found[pattern.stem] = folder / f"{pattern.stem}-worn.yaml"  # a pattern may be YAML, too
         text = describe_worn(pattern.stem, garments, args.edge, Path(body).name)
         found[pattern.stem].write_text(text, encoding="utf-8")
     return found

@@ -78,9 +78,11 @@ def sweep_command(args: argparse.Namespace) -> int:
     print("\n".join(f"{key}: {', '.join(map(str, values))}" for key, values in over.items()), file=sys.stderr)
     path = shipped.find(args.scene)
     for key, values in over.items():  # files of the working folder, as --set may name them
-        named = {value: find_own(path, [f"{key}={value}"]) for value in values if isinstance(value, str)}
-        over[key] = [named[value][0][0].partition("=")[2] if value in named else value for value in values]
-        args.root += [folder for _, folders in named.values() for folder in folders]
+        for i, value in enumerate(values):
+            if isinstance(value, str):
+                (item,), folders = find_own(path, [f"{key}={value}"])
+                over[key][i] = item.partition("=")[2]
+                args.root += folders
     loaded = load_scene(args)
     folder = args.out or Path("recordings/sweep") / loaded.scene.name
     if args.resume:

@@ -299,7 +299,8 @@ def apply_shares(m: ContactState, x: Float, v: Float) -> None:
     last, share, cloth = m.last, m.share, x.shape[1] - m.bodies.local.shape[0]
     for i in range(x.shape[1]):
         if share[i] < 1.0:
-            m.so_far[CUT if m.surface.mass[i] > 0.0 else HELD_CUT] += 1
+            if i < cloth:  # bodies' vertices have no mass either, and hold nothing
+                m.so_far[CUT if m.surface.mass[i] > 0.0 else HELD_CUT] += 1
             for row in range(3):
                 x[row, i] = last[row, i] + share[i] * (x[row, i] - last[row, i])
                 if i < cloth:

@@ -338,19 +338,27 @@ def _flat_length(one: Slice, corners: Float) -> float:
 
 
 def _girth(name: str, height: float, x: Float, membrane: Membrane, corners: Float, body: tuple[Float, Int]) -> Girth:
-    wearer = trunk(cut(*body, height))
+    level = cut(*body, height)
+    wearer = trunk(level)
     if wearer is None:
         return Girth(name, height, None, None, None, None)
-    tape, _, middle = wearer.hull()
+    tape, area, middle = wearer.hull()
     curves = [
-        (share, _flat_length(one, corners), one.length())
+        (share, _flat_length(one, corners), one)
         for one in cut(x, membrane.faces, height).curves()
         if (share := abs(one.turns(middle))) > ROUND
     ]
     if not curves:
         return Girth(name, height, tape, None, None, None)
-    share, flat, worn = min(curves, key=lambda one: one[1])
-    return Girth(name, height, tape, flat, worn, min(share, 1.0))
+    share, flat, cloth = min(curves, key=lambda one: one[1])
+    # A skirt is round both legs, and so is the tape; trousers are round each.
+    inside = [
+        one for one in level.curves()
+        if (hull := one.hull())[1] > LIMB * area and abs(cloth.turns(hull[2])) > ROUND
+    ]  # fmt: skip
+    if len(inside) > 1:
+        tape = level._of(np.isin(level.piece, [one.piece[0] for one in inside])).hull()[0]
+    return Girth(name, height, tape, flat, cloth.length(), min(share, 1.0))
 
 
 def _strains(x: Float, membrane: Membrane) -> dict[str, Spread]:

@@ -99,7 +99,7 @@ def result_warnings(report: Mapping[str, Any]) -> list[str]:
         )
     if held := counts.get("held_cut_short"):
         warnings.append(
-            f"held vertices (pinned, attached, a pattern's waist) were kept back by cloth {held:,} times and may be "
+            f"held vertices (pinned, attached, a pattern's waist) were held back by cloth {held:,} times and may be "
             "off what carries them: do pins or bodies press cloth together?"
         )
     return warnings

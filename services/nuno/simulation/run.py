@@ -193,9 +193,8 @@ class Simulation(Stepper):
         return Stepped(self.frame, self.measure(self.poses), 0.0, self.digest())
 
     def present_forces(self) -> Forces:
-        """Return the forces in the present state, at the start of the next frame."""
-        after = self.find_poses(self.frame + 1)
-        return self.forces(None if after is None or self.poses is None else (self.poses, after))
+        """Return the forces in the present state, at the end of its frame."""
+        return self.forces(None if self.before is None or self.poses is None else (self.before, self.poses))
 
     def present_touched(self) -> Touched | None:
         """Return the contact forces of each body on the cloth in the present state; None without bodies."""
@@ -341,7 +340,7 @@ class Simulation(Stepper):
         return report
 
     def forces(self, poses: tuple[Poses, Poses] | None) -> Forces:
-        """Return the forces in the present state, with bodies as at the start of the frame of these poses."""
+        """Return the forces in the present state, with bodies as at the end of the frame of these poses."""
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 

@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -170,6 +171,7 @@ class ClothDriver(Driver):
         self.warnings += dict.fromkeys(fields["text"] for fields in earlier if fields.get("kind") == "warning")
         for status in (fields for fields in earlier if "stretch" in fields):
             self.energy = self.energy or [status["energy"]]
+            self._note_counts(status.get("counts", {}))
             self._note_stretch(status["frame"], math.nan if status["stretch"] is None else status["stretch"])
 
     def step_frame(self) -> Stepped:
@@ -219,11 +221,18 @@ class ClothDriver(Driver):
         report: StepReport = frame.report
         if self.scene.until == "balance" and math.isfinite(report.unbalance):
             self.rest = {"farthest": report.unbalance, "unsettled": report.unsettled}
-        for name, value in report.counts.items():
-            self.counts[name] = max(self.counts.get(name, 0), value)
+        self._note_counts(report.counts)
         self.energy = [self.energy[0] if self.energy else dict(report.energy), dict(report.energy)]
         self._note_stretch(frame.number, report.stretch)
-        return {"energy": dict(report.energy), "stretch": report.stretch, "wrinkles": self.simulation.wrinkles()}
+        return {
+            "energy": dict(report.energy), "stretch": report.stretch, "wrinkles": self.simulation.wrinkles(),
+            "counts": dict(report.counts),
+        }  # fmt: skip
+
+    def _note_counts(self, counts: Mapping[str, int]) -> None:
+        """Update the largest counts of a frame."""
+        for name, value in counts.items():
+            self.counts[name] = max(self.counts.get(name, 0), value)
 
     def _note_stretch(self, frame: int, stretch: float) -> None:
         """Update the largest stretch at the start, and since it first stopped falling."""
