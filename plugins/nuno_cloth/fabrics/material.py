@@ -21,6 +21,8 @@ LIKE = {"jeans": "denim", "jersey": "interlock", "knit": "interlock"}
 def _require_preset(preset: str) -> str:
     if preset not in PRESETS:
         like = f"much like it is {LIKE[preset]!r}; " if preset in LIKE else ""
+        if preset.endswith((".yaml", ".yml")):
+            like = "write what stands under `fabric` in such a file into the scene, as fabric: {...}; "
         raise ValueError(f"unknown fabric preset {preset!r}; {like}{nearest(preset, PRESETS)}")
     return preset
 

@@ -148,6 +148,7 @@ def describe_recording(recording: Recording, lacks: Lacks) -> dict[str, Any]:
         "span": list(recording.span),
         "attachments": list(recording.attachments),
         "versions": recording.metadata.get("versions", {}),
+        "resumed": recording.metadata.get("resumed", {}),
         "plugins": list(recording.metadata.get("plugins", {})),
         "crossings": find_spells(recording),
         "least_distance": find_nearest(recording),
@@ -164,7 +165,10 @@ def _info_rows(recording: Recording, lacks: Lacks) -> list[tuple[str, str]]:
     rows += [(topic, f"{count} message{'s' if count != 1 else ''}") for topic, count in facts["messages"].items()]
     rows += [("file inside", name) for name in facts["attachments"]]
     rows.append(("versions", ", ".join(f"{name} {version}" for name, version in facts["versions"].items())))
-    rows.append(("plugins", ", ".join(facts["plugins"])))
+    rows += [("version", f"{name} {version}") for name, version in facts["resumed"].items()]
+    packages = recording.metadata.get("plugins", {})
+    foreign = {name: f" ({package})" for name, package in packages.items() if package.split()[:1] != ["nuno"]}
+    rows.append(("plugins", ", ".join(f"{name}{foreign.get(name, '')}" for name in facts["plugins"])))
     rows += spell_rows(facts["crossings"], facts["least_distance"])
     report = facts["report"]
     return [*rows, *recorded_lines(report), *([("why", str(why))] if (why := report.get("error")) else [])]
