@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_contact.motions.bvh import BVH, UNSCALED, BvhConfig
+from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.keyframes import read_rotation
 from nuno_contact.motions.rotations import multiply
 from nuno_contact.quantities import Number, Point, Silence, Size, Speed, TurnRate
@@ -91,8 +91,8 @@ class Topic:
             turns, places = rest.pose(0.0)
             size = float(np.ptp(places, axis=0).max())
             if c.scale is None and not SMALLEST <= size <= LARGEST:
-                raise BadInput("it may not be in metres", c.skeleton, field="scale", value=f"{size:.3g} units long",
-                               limit=f"{SMALLEST:g} to {LARGEST:g}", remedy=UNSCALED)  # fmt: skip
+                limit, remedy = f"{SMALLEST} to {LARGEST} m", f"scale: 1cm or 1mm; scale: 1m if it is {size:.3g} m long"
+                raise BadInput("it may not be in metres", c.skeleton, None, "scale", f"{size:.3g} units", limit, remedy)
             translation = translation + turn(rotation_matrices(rotation)[0], places - translation)
             rotation = multiply(rotation, turns)
         elif c.scale is not None:
