@@ -26,14 +26,14 @@ from nuno_schemas.system import Forces, StepLimit, StepReport, System, Term, Tou
 from nuno_schemas.written import Fields, Written
 
 GROUPS: Mapping[str, str] = {
-    "nuno.models": "build a fabric: sheet, skirt, mesh, net",
-    "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, drag",
+    "nuno.models": "build a fabric: sheet, skirt, shirt, mesh, pattern, swatch, net, knit",
+    "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, particle_wind",
     "nuno.integrators": "advance a fabric's state in time",
     "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf, skin",
-    "nuno.motions": "move a collider's frames: keyframes, bvh, hula",
+    "nuno.motions": "move a collider's frames: keyframes, bvh, hula, topic",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
-    "nuno.operations": "make something new of a fabric and where it is: repair, smooth, pressure, untangle, wrinkle",
+    "nuno.operations": "change a fabric and its state: attach, release, repair, smooth, pressure, untangle, wrinkle",
     "nuno.renderers": "draw a picture of a frame",
     "nuno.dye_cloths": "build a cloth to dye: cells, woven, photograph",
     "nuno.dye_solvers": "spread dye in a cloth over time",

@@ -93,6 +93,12 @@ def test_every_plugin_of_a_kind_is_tried(group: str) -> None:
     assert set(EXAMPLES[group]) == {point.name for point in entry_points(group=group)}
 
 
+@pytest.mark.parametrize("group", sorted(group for group in GROUPS if ": " in GROUPS[group]))
+def test_a_kinds_description_names_every_plugin_of_it(group: str) -> None:
+    own = {point.name for point in entry_points(group=group) if point.dist and point.dist.name == "nuno"}
+    assert set(GROUPS[group].partition(": ")[2].split(", ")) == own
+
+
 LONG = ("particle_wind", "euler", "rk4_printed", "dopri5", "shirt", "implicit", "skin")
 """Plugins whose kernels or cloth take long to make, beside others of their kind that take their paths."""
 OF_FEW = {

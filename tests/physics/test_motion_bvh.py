@@ -1,5 +1,6 @@
 """BVH: joint positions against forward kinematics of the file's own numbers, written anew."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 
 from nuno_contact.colliders.skeleton import Skeleton, SkeletonConfig
 from nuno_contact.motions.bvh import BVH, BvhConfig, read_bvh
+from nuno_contact.motions.topic import Topic, TopicConfig
+from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput
 
 WALK = Path(__file__).parents[3] / "shared" / "data" / "cmu_12_01_walk.bvh"
@@ -460,3 +463,153 @@ def test_names_in_latin_1_and_a_byte_order_mark(tmp_path):
     one, other = (prepare(written(tmp_path, text, f"{how}.bvh", how)) for how in ("latin-1", "utf-8-sig"))
     assert one.joints == other.joints and "Tête-Head" in one.joints
     np.testing.assert_array_equal(one.pose(0.01)[1], other.pose(0.01)[1])
+
+
+ARM = """HIERARCHY
+ROOT base
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT shoulder
+  {
+    OFFSET 0 0.2 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    JOINT elbow
+    {
+      OFFSET 0 0.3 0
+      CHANNELS 3 Zrotation Xrotation Yrotation
+      JOINT tool
+      {
+        OFFSET 0 0.25 0
+        CHANNELS 3 Zrotation Xrotation Yrotation
+        End Site
+        {
+          OFFSET 0 0.05 0
+        }
+      }
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.04
+0 0 0  0 0 0  0 0 0  0 0 0  0 0 0
+0.4 0 0.1  10 20 30  40 50 0  60 0 0  0 0 70
+"""
+"""A robot's arm, 0.8 units from its base to its tip."""
+LINKS = np.array([0.2, 0.3, 0.25, 0.05])
+CHAIN = """HIERARCHY
+ROOT shoulder
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT elbow
+  {
+    OFFSET 0.3 0 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0.25 0 0
+    }
+  }
+}
+MOTION
+Frames: 1
+Frame Time: 0.02
+0 0.5 0 0 0 0 0 0 0
+"""
+"""An arm that points along x: it has no height."""
+
+
+def followed(path, **config):
+    return Topic().prepare(TopicConfig(skeleton=str(path), **config), Anywhere())
+
+
+def scales_of(remedy):
+    """The lengths of a unit that a text proposes."""
+    return re.findall(r"scale: ([\d.]+\w+)", remedy)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(None, 1.0), ("1 m", 1.0), ("1 cm", 0.01), ("2 ft", 0.6096)])
+def test_links_that_poses_move_are_as_long_as_the_file_times_its_scale(scale, unit, tmp_path):
+    """Each capsule runs from joint to joint of forward kinematics in metres."""
+    path = written(tmp_path, ARM)
+    mover, radius = followed(path, scale=scale), 0.01 * unit
+    np.testing.assert_allclose(np.linalg.norm(mover.offsets[1:], axis=1), unit * LINKS, rtol=1e-14)
+    assert mover.notes == ()
+    radii = {"base": radius, "shoulder": radius, "elbow": radius, "tool": radius}
+    links = Skeleton().build(SkeletonConfig(split=False, radii=radii), mover, Anywhere())
+    nodes, motion = parse(path.read_text())
+    rotation, place = prepare(path, scale=unit).pose(0.04)
+    expected = unit * kinematics(nodes, motion[1])
+    expected += place[0] - expected[0]
+    matrices = rotation_matrices(rotation)
+    assert links.frame.tolist() == [0, 1, 2, 3]
+    for link, j in enumerate(links.frame):
+        start, end = (expected[j] + matrices[j] @ x[link] for x in (links.a, links.b))
+        cap = radius if link == 3 else 0.0
+        np.testing.assert_allclose(start, expected[link], atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(end - expected[link + 1]), cap, atol=1e-12)
+
+
+def test_a_followed_skeleton_waits_as_the_scene_turns_it(tmp_path):
+    path, half = written(tmp_path, ARM.replace("Time: 0.04", "Time: 30")), np.sqrt(0.5)
+    plain = followed(path, position=(1, 2, 3))
+    turned = followed(path, position=(1, 2, 3), rotation=(half, half, 0, 0))
+    way = plain.pose(0.0)[1] - [1, 2, 3]
+    assert np.ptp(way[:, 1]) == pytest.approx(0.8, rel=1e-14)
+    np.testing.assert_allclose(turned.pose(0.0)[1] - [1, 2, 3], way[:, [0, 2, 1]] * [1, -1, 1], atol=1e-14)
+    matrices = rotation_matrices(turned.pose(0.0)[0])
+    for j in range(1, 5):
+        parent = turned.parents[j]
+        reached = turned.pose(0.0)[1][parent] + matrices[parent] @ turned.offsets[j]
+        np.testing.assert_allclose(reached, turned.pose(0.0)[1][j], atol=1e-14)
+
+
+@pytest.mark.parametrize("unit", ["1cm", "1mm"])
+def test_a_followed_skeleton_that_is_hardly_in_metres_needs_its_scale(unit, tmp_path):
+    times = {"1cm": 100, "1mm": 1000}[unit]
+    text = ARM.replace("0.25", f"{0.25 * times:g}").replace("0.05", f"{0.05 * times:g}")
+    path = written(tmp_path, text.replace(" 0.2 ", f" {0.2 * times:g} ").replace(" 0.3 ", f" {0.3 * times:g} "))
+    with pytest.raises(BadInput, match="not be in metres") as refused:
+        followed(path)
+    assert refused.value.field == "scale"
+    assert unit in refused.value.remedy
+    for scale, length in ((unit, 0.8), (scales_of(refused.value.remedy)[-1], 0.8 * times)):
+        assert np.ptp(followed(path, scale=scale).pose(0.0)[1][:, 1]) == pytest.approx(length, rel=1e-12)
+    with pytest.raises(BadInput, match="no skeleton") as refused:
+        Topic().prepare(TopicConfig(scale=unit), Anywhere())
+    assert refused.value.field == "scale"
+
+
+@pytest.mark.parametrize(("text", "length"), [(ARM, 0.8), (CHAIN, 0.55)])
+def test_what_is_no_person_gets_no_persons_height(text, length, tmp_path):
+    """Without a stated size it is refused, and each remedy works; an explicit scale needs no height."""
+    path = written(tmp_path, text)
+    with pytest.raises(BadInput, match="trunk and legs") as refused:
+        prepare(path)
+    assert refused.value.field == "scale"
+    (scale,) = scales_of(refused.value.remedy)
+    mover = prepare(path, scale=scale)
+    assert np.linalg.norm(mover.offsets, axis=1).sum() == pytest.approx(length, rel=1e-12) and mover.notes == ()
+    assert "height: 1.7 m" in refused.value.remedy
+    if text == ARM:
+        assert np.linalg.norm(prepare(path, height=1.7).offsets, axis=1).sum() == pytest.approx(1.7, rel=1e-12)
+    else:
+        with pytest.raises(BadInput, match="has no height") as refused:
+            prepare(path, height=1.7)
+        assert scales_of(refused.value.remedy) == [scale]
+    facts = BVH().describe_motion(path)
+    assert f"{length:g}" in facts["size"] and "stands" not in facts
+
+
+@pytest.mark.parametrize("size", [0.003, 0.02, 0.2, 0.32, 0.6, 4.0, 300.0])
+def test_a_warning_about_a_scale_names_one_that_makes_a_person(size, tmp_path):
+    numbers = re.compile(r"(?<=OFFSET )(.+) (.+) (.+)|(?<=^0 )(0\.9)", re.MULTILINE)
+    path = written(
+        tmp_path, numbers.sub(lambda m: " ".join(f"{size / 1.7 * float(n):.9g}" for n in m[0].split()), STANDING)
+    )
+    (said,) = prepare(path, scale=1).notes
+    assert f"{size:.3g} m high" in said
+    (scale,) = scales_of(said)
+    assert prepare(path, scale=scale).notes == ()

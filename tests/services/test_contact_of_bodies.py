@@ -131,7 +131,10 @@ def test_what_a_mesh_presses_into_a_floor_stays_off_the_mesh(tmp_path: Path) -> 
 def test_plan_says_which_contact_is_with_which_bodies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bodies = [BODIES[0], BODIES[1], cube("twin", 1.0, contact=SLIDING)]
     assert main(["plan", str(write(tmp_path, bodies=bodies))]) == 0
-    assert re.search(r"^contact +sliding with block, twin; penalty with floor$", capsys.readouterr().out, re.MULTILINE)
+    plan = capsys.readouterr().out
+    assert re.search(r"^contact +sliding with block, twin; penalty with floor$", plan, re.MULTILINE)
+    sizes = dict(re.findall(r"^bodies +(\w+): (.*) m \(x, y, z\) at the start$", plan, re.MULTILINE))
+    assert sizes == dict.fromkeys(("block", "twin"), "0.2 x 0.2 x 0.2")  # a plane has none
 
 
 def test_each_distance_field_is_read_where_its_body_is_met_by_it(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,8 @@ def test_each_kind_of_file_is_told_in_figures(desk: Desk) -> None:
     text = (OWN / "walk.bvh").read_text()
     assert rows(walk)["frames"] == text.split("Frames:")[1].split()[0]
     assert rows(walk)["joints"].startswith(f"{text.count('JOINT') + 1}, and {text.count('End Site')} ends")
+    robot = drop(desk, "arm.bvh", re.sub("(S)pine|(C)hest|(N)eck|(H)ead", r"Link\1\2\3\4", text).encode())
+    assert robot["mistakes"] == robot["offers"] == [] and rows(robot)["size"].endswith(" units")
     net = drop(desk, "mine.npz", (OWN / "pendulum.npz").read_bytes())
     assert rows(net) == {"masses": "9, of 0.45 kg in all", "springs": "8", "held": "1", "size": "1 x 0 x 0 m"}
     stencil = drop(desk, "mine.png", (OWN / "dye/stencil.png").read_bytes())

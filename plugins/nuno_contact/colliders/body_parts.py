@@ -72,6 +72,14 @@ def find_part(joint: str) -> str | None:
     return None
 
 
+TRUNK = {"back", "neck", "head"}
+
+
+def is_person(joints: Sequence[str]) -> bool:
+    """Return whether joints are named after a trunk and legs; those of a robot, a prop or half a person are not."""
+    return all(not parts.isdisjoint(map(find_part, joints)) for parts in (TRUNK, {"thigh", "shin", "foot"}))
+
+
 RESTS = 0.85
 """A skeleton stands at rest if it is then at least this share as high as in its tallest pose."""
 
@@ -85,11 +93,11 @@ def choose_height(at_rest: float, posed: float) -> float:
 
 
 def find_arms(joints: Sequence[str], parents: Int) -> Bool:
-    """Return which joints (j,) belong to arms, of a skeleton that is more than an arm; parents come before children."""
+    """Return which joints (j,) belong to arms, of a skeleton with a trunk; parents come before children."""
     arm = np.array([find_part(joint) in ("arm", "forearm", "hand") for joint in joints])
     for j, parent in enumerate(parents):
         arm[j] |= parent >= 0 and arm[parent]
-    return arm & ~arm.all()
+    return arm & any(find_part(joint) in TRUNK for joint in joints)
 
 
 def default_radius(part: str, first: float, last: float) -> float:

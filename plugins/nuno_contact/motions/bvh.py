@@ -13,10 +13,10 @@ from typing import ClassVar, Literal, NamedTuple, cast
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.colliders.body_parts import choose_height, find_arms, find_part
+from nuno_contact.colliders.body_parts import TRUNK, choose_height, find_arms, find_part, is_person
 from nuno_contact.motions.rotations import AXES, from_axis_angle, multiply, pose_skeleton, rest_positions, slerp
 from nuno_contact.quantities import Later, Point, Rate, Size, Span
-from nuno_schemas.bodies import fits_person, rotation_matrices, unit_of
+from nuno_schemas.bodies import UNITS, fits_person, rotation_matrices, unit_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import Config, Files, Mover
@@ -37,6 +37,7 @@ STILL = 1e-4
 """Joints move against their parents if by more than this share of the longest bone: less is rounding."""
 LOOKS = 100
 """number of poses among which the tallest is found"""
+UNSCALED = "say how long one of the file's units is, such as scale: 1m"
 
 
 class BvhConfig(Config):
@@ -44,7 +45,7 @@ class BvhConfig(Config):
 
     file: str = Field(description="the BVH file, beside the scene")
     height: Size = Field(
-        default=1.7, description="of the body as it stands [m]: scales the file's unit so that the skeleton fits"
+        default=1.7, description="of the body as it stands [m], which scales the file's unit; 1.7 for persons alone"
     )
     scale: Size | None = Field(
         default=None, description="or: length of one of the file's units [m]; goes before height"
@@ -257,10 +258,8 @@ def cut_frames(config: BvhConfig, frames: int, dt: float, path: Path) -> slice:
     first = math.ceil(config.start / dt - 1e-9)
     last = frames - 1 if config.stop is None else min(frames - 1, math.floor(config.stop / dt + 1e-9))
     if first > last:
-        raise BadInput(
-            "the part of the file has no frame", file=str(path), field="start", value=config.start,
-            limit=f"the file lasts {(frames - 1) * dt:g} s", remedy="an earlier start or a later stop",
-        )  # fmt: skip
+        limit, remedy = f"the file lasts {(frames - 1) * dt:g} s", "an earlier start or a later stop"
+        raise BadInput("the part of the file has no frame", str(path), None, "start", config.start, limit, remedy)
     return slice(first, last + 1)
 
 
@@ -285,7 +284,7 @@ def find_stature(found: Captured, up: int) -> tuple[float, int]:
     at rest; and the axis along which the head lies from the root in most poses.
     """
     arm = find_arms(found.joints, found.parents)
-    trunk = [j for j, name in enumerate(found.joints) if not arm[j] and find_part(name) in ("back", "neck", "head")]
+    trunk = [j for j, name in enumerate(found.joints) if not arm[j] and find_part(name) in TRUNK]
     poses = found.at(_spread(len(found.turns)))
     ways = poses[:, trunk[-1]] - poses[:, 0] if trunk else np.eye(3)[[up]]
     rest = rest_positions(found.parents, found.offsets * (found.parents >= 0)[:, None])
@@ -306,6 +305,9 @@ class BVH:
         facts = {"joints": f"{len(found.joints) - ends}, and {ends} ends of bones", "frames": f"{frames}"}
         if STEPS[0] <= found.dt <= SLOWEST:
             facts["lasts"] = f"{found.duration:.3g} s, at {1.0 / found.dt:.4g} Hz"
+        if not is_person(found.joints):
+            size = np.ptp(found.at(np.zeros(1, int))[0], axis=0)
+            return facts | {"size": "{:.4g} x {:.4g} x {:.4g} units".format(*size), "root": found.joints[0]}
         axis = find_stature(found, 1)[1]
         tall = find_stature(found, axis)[0]
         unit = unit_of(tall)
@@ -313,7 +315,7 @@ class BVH:
         return facts | {"root": found.joints[0]}
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Read the motion. Raises BadInput for a file that cannot be read, a lying body, and an empty part."""
+        """Read the motion. Raises BadInput for a file that cannot be read, a lying body, no size, and an empty part."""
         c = cast(BvhConfig, config)
         path = files.resolve(c.file)
         found = read_bvh(path)
@@ -332,8 +334,12 @@ class BVH:
             remedy = ("up: z where z is the file's vertical axis, " if axis == "z" else "") + "up: y where it does lie"
             raise BadInput("the body lies", str(path), field="up", value=f"from the root the head is along {axis}",
                            limit="y points up unless the scene says otherwise", remedy=remedy)  # fmt: skip
-        if not height > 0.0:
-            raise BadInput("the skeleton has no height", str(path), field="height", remedy="give a scale")
+        if c.scale is None and "height" not in c.model_fields_set and not is_person(found.joints):
+            raise BadInput("no joints are named after a trunk and legs: the size is unknown", str(path), field="scale",
+                           remedy=f"height: {c.height:g} m if that is a person's; if not, {UNSCALED}")  # fmt: skip
+        if c.scale is None and not height > 0.0:
+            raise BadInput("the skeleton has no height", str(path), field="height", value=c.height, remedy=UNSCALED)
+        notes = _size_notes(c, height) if along == up and is_person(found.joints) else ()
         upright = from_axis_angle(AXES[0], -0.5 * math.pi if c.up == "z" else 0.0)
         scale = c.scale or c.height / height
         local = found.turns[part]
@@ -350,13 +356,13 @@ class BVH:
         place_root(c, motion)
         way = (motion.sample(motion.duration - blend)[1][:1] - motion.places[0, :1]) * np.array([1.0, 0.0, 1.0])
         clip = _Clip(motion, loop, blend, c.ramp, way)
-        return Mover(found.joints, found.parents, motion.offsets, clip.pose, notes=_size_notes(c, height))
+        return Mover(found.joints, found.parents, motion.offsets, clip.pose, notes=notes)
 
 
 def _size_notes(config: BvhConfig, height: float) -> tuple[str, ...]:
-    """Note a scale by which a body `height` of the file's units high is not a person's size."""
+    """Note a scale by which a standing person, `height` of the file's units high, has no person's size."""
     if config.scale is None or fits_person(config.scale * height):
         return ()
-    unit = unit_of(height)
-    remedy = f"with scale: {unit} it is one" if unit else "leave scale out, and give height"
-    return (f"by its scale the body is {config.scale * height:.3g} m high, which no person is; {remedy}",)
+    unit = next((unit for unit, length in UNITS.items() if fits_person(length * height)), f"{1.7 / height:.3g}m")
+    size = f"by its scale the body is {config.scale * height:.3g} m high, which no standing person is"
+    return (f"{size}; with scale: {unit} it is one",)

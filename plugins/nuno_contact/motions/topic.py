@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import ClassVar, Literal, cast
 
 import numpy as np
@@ -11,9 +12,13 @@ from pydantic_core import PydanticCustomError
 
 from nuno_contact.motions.bvh import BVH, BvhConfig
 from nuno_contact.motions.keyframes import read_rotation
-from nuno_contact.quantities import Number, Point, Silence, Speed, TurnRate
+from nuno_contact.motions.rotations import multiply
+from nuno_contact.quantities import Number, Point, Silence, Size, Speed, TurnRate
+from nuno_schemas.bodies import LARGEST, SMALLEST, rotation_matrices
+from nuno_schemas.errors import BadInput
 from nuno_schemas.live import Live
 from nuno_schemas.plugin import Config, Files, Mover
+from nuno_schemas.vectors import turn
 
 KEY = re.compile(r"[^/*$?#\s]+(/[^/*$?#\s]+)*")
 """a zenoh key without wildcards"""
@@ -50,6 +55,9 @@ class TopicConfig(Config):
         default=None,
         description="a BVH file whose joints it has, and waits at the start of; one joint, `body`, unless given",
     )
+    scale: Size | None = Field(
+        default=None, description="length of one of the skeleton file's units [m]; the metre unless given"
+    )
 
     @field_validator("key")
     @classmethod
@@ -71,18 +79,25 @@ class Topic:
         return cast(TopicConfig, config).frames == "clock"
 
     def prepare(self, config: BaseModel, files: Files) -> Mover:
-        """Prepare the motion. Raises BadInput for a skeleton that cannot be read, and a rotation of length 0."""
+        """Prepare the motion. Raises BadInput for a bad skeleton, one without a unit, and a rotation of length 0."""
         c = cast(TopicConfig, config)
-        if c.skeleton is None:
-            names: tuple[str, ...] = ("body",)
-            parents, offsets = np.array([-1], np.int32), np.zeros((1, 3))
-            rotation = read_rotation(list(c.rotation), "quaternion", "rotation")[None]
-            translation = np.array([c.position], np.float64)
-        else:
-            rest = BVH().prepare(BvhConfig(file=c.skeleton, position=c.position), files)
-            names, parents, offsets = rest.joints, rest.parents, rest.offsets
-            rotation, translation = rest.pose(0.0)
+        rotation = read_rotation(list(c.rotation), "quaternion", "rotation")[None]
+        translation = np.array([c.position], np.float64)
+        rest = Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), lambda t: (rotation, translation))
+        if c.skeleton is not None:
+            # Poses arrive in the world, so neither the file's rate nor its vertical axis matters.
+            file = BvhConfig(file=c.skeleton, position=c.position, frame_rate=1.0, up="y", scale=c.scale or 1.0)
+            rest = BVH().prepare(file, files)
+            turns, places = rest.pose(0.0)
+            size = float(np.ptp(places, axis=0).max())
+            if c.scale is None and not SMALLEST <= size <= LARGEST:
+                limit, remedy = f"{SMALLEST} to {LARGEST} m", f"scale: 1cm or 1mm; scale: 1m if it is {size:.3g} m long"
+                raise BadInput("it may not be in metres", c.skeleton, None, "scale", f"{size:.3g} units", limit, remedy)
+            translation = translation + turn(rotation_matrices(rotation)[0], places - translation)
+            rotation = multiply(rotation, turns)
+        elif c.scale is not None:
+            raise BadInput("no skeleton to scale", field="scale", remedy="give skeleton, or leave it out")
         live = Live(
             rotation, translation, c.key, c.frames == "poses", c.silence, c.silent == "stop", c.fastest, c.fastest_turn
         )
-        return Mover(names, parents, offsets, live.pose, live)
+        return replace(rest, pose=live.pose, live=live)

@@ -192,6 +192,12 @@ def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> 
     return Surfaces(np.concatenate([x for x, _ in parts]), np.concatenate(faces).astype(np.int32), frame, skins)
 
 
+def find_sizes(geometry: Geometry, poses: Poses) -> dict[str, Float]:
+    """Return the extents (3,) [m] of bodies along x, y and z by name; planes have none."""
+    bodies = [geometry.of_bodies([i]) for i in range(len(geometry.bodies))]
+    return {one.bodies[0]: np.ptp(surface(one).at(poses), axis=0) for one in bodies if PLANE not in one.kind}
+
+
 def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
     """Return vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
     kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nuno.collision.bodies import find_sizes
 from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.replay.verification import steppers
 from nuno.report.run_report import describe_start
@@ -85,6 +86,8 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += [(operation["operation"], describe_start(operation["facts"])) for operation in simulation.arranged]
     if simulation.geometry is not None and simulation.poses is not None:
         rows += _attachments(simulation, simulation.geometry, simulation.poses)
+        for name, sides in find_sizes(simulation.geometry, simulation.poses).items():
+            rows.append(("bodies", "{}: {:.3g} x {:.3g} x {:.3g} m (x, y, z) at the start".format(name, *sides)))
     doubts = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
     rows += [("bodies", note) for note in simulation.body_notes] + [("WARNING", text) for text in doubts]
     rows += _texture(simulation)

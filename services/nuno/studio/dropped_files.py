@@ -163,7 +163,9 @@ def _pattern(path: Path) -> Seen:
 def _motion(path: Path) -> Seen:
     motion = registry.offering("nuno.motions", "describe_motion", "reads captured motion")
     facts = dict(motion.describe_motion(path))
-    up = "z" if facts.get("stands", "").startswith("along z") else "y"
+    if "stands" not in facts:  # no person, on whom a skirt could hang
+        return Seen("skeleton", "a motion", list(facts.items()))
+    up = "z" if facts["stands"].startswith("along z") else "y"
     mover = motion.prepare(motion.Config(file=path.name, height=HEIGHT, up=up, travel=False), SceneFiles(path.parent))
     joint = next((one for one in mover.joints if "hip" in one.lower()), mover.joints[0])
     hips = mover.pose(0.0)[1][mover.joints.index(joint)]
