@@ -256,6 +256,10 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
     "control in no way": (["control", "last", "dance"], "invalid choice: 'dance'"),
     "serve nothing": (["serve", "simulatoin"], "invalid choice"),
     "serve without a run": (["serve", "simulation", "SCENE"], "needs --run"),
+    "serve what goes on without a scene": (
+        ["serve", "dye", "--resume", "a.mcap", "--run", "r", "--connect", "tcp/127.0.0.1:1"],
+        "nuno export a.mcap --scene own.yaml, then nuno serve dye own.yaml --resume a.mcap --run r --connect tcp/12",
+    ),
 }
 
 

@@ -59,8 +59,9 @@ def test_control_and_failure_are_told(tmp_path: Path) -> None:
     solver = {"plugin": "symplectic_euler", "dt": "20 ms"}
     scene = write_scene(tmp_path, solver=solver, allow_unstable=True, duration=200)
     assert main(["run", str(scene), "--no-record", "--no-view", "--log", str(path)]) == 1
-    end = read(path)[-1]
+    *before, end = read(path)
     assert end["level"] == "error" and "diverged" in end["fields"]["reason"]
+    assert before[: len(lines)] == lines and end["run"] != run.run
 
 
 @pytest.mark.parametrize(
@@ -78,8 +79,11 @@ def test_a_run_interrupted_as_it_ends_keeps_what_it_has(
         return real(self, name, *rest)
 
     monkeypatch.setattr(Bus, "ask_json", ask)
-    record = tmp_path / "a.mcap"
+    record, kept = tmp_path / "a.mcap", tmp_path / "a.log.jsonl"
+    with log.written("earlier", kept):
+        log.note("earlier", "end: done")
     assert main(["run", str(write_scene(tmp_path)), "--record", str(record), "--no-view", *how]) == 1
+    assert (read(kept)[0]["run"], read(kept)[0]["message"]) == ("earlier", "end: done")
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
     assert read(tmp_path / "a.log.jsonl")[-1]["fields"]["reason"] == "interrupted while its services ended"
     with nuno.open(record) as recording:

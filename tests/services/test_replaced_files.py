@@ -116,7 +116,7 @@ def test_a_run_stopped_by_control_replaces_a_recording(tmp_path: Path) -> None:
     assert not part_of(record).exists()
 
 
-def test_a_log_replaces_a_log_only(refused: Refused, tmp_path: Path) -> None:
+def test_a_log_is_appended_to_a_log_only(refused: Refused, tmp_path: Path) -> None:
     scene, line = write_scene(tmp_path, duration=0.1), {"time": "", "level": "info", "run": "r", "message": "start"}
     texts = {
         "old.mcap": b"\x89MCAP0\r\n\xff\n",
@@ -133,13 +133,25 @@ def test_a_log_replaces_a_log_only(refused: Refused, tmp_path: Path) -> None:
         path.write_bytes(data)
         said = refused("run", scene, "--no-view", "--no-record", "--log", path)
         assert "--log" in said and str(path) in said
-        assert "would be lost" in said or name in ("scene.yaml", "chain.npz")
+        assert "no log of runs" in said or name in ("scene.yaml", "chain.npz")
         assert path.read_bytes() == data
     for data in (b"", json.dumps(line).encode() + b"\n", json.dumps(line).encode() + b"\ncut"):
         (tmp_path / "a.jsonl").write_bytes(data)
-        with log.written("r", tmp_path / "a.jsonl"):
-            log.note("r", log.READY)
-        assert log.READY in (tmp_path / "a.jsonl").read_text()
+        for run in ("first", "second"):
+            with log.written(run, tmp_path / "a.jsonl"):
+                log.note(run, log.READY)
+        before, own = data.decode().splitlines(), (tmp_path / "a.jsonl").read_text().splitlines()
+        assert own[:-2] == before  # a line that was cut stays alone
+        assert [json.loads(text)["run"] for text in own[-2:]] == ["first", "second"]
+
+
+def test_a_log_that_is_rotated_by_copytruncate_has_no_hole(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    with log.written("r", path):
+        log.note("r", log.READY)
+        path.write_bytes(b"")
+        log.note("r", "after")
+    assert json.loads(path.read_text())["message"] == "after"
 
 
 @pytest.mark.parametrize("name", ["z.mcap", "./z.mcap", "z.mcap.part", "z.rrd", "z.rrd.part"])

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import types
+from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zenoh
-from recorded_sheet import RATE, Sheet, write
+from recorded_sheet import RATE, Sheet, items, metadata, write
 
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
 from nuno.cli import main
+from nuno.exports.cloth import read_frame
 from nuno.process import Terminated
-from nuno.recording.reader import Recording, open_recording
+from nuno.recording.reader import END, Recording, open_recording
+from nuno.recording.writer import RecordingWriter
 from nuno.replay import publisher as replay_module
 from nuno.replay.publisher import WINDOW, Replay
 from nuno.runtime.service import ack_topic
@@ -190,6 +195,47 @@ def test_a_replay_recorded_again_holds_the_same_status(session: zenoh.Session, r
     Replay(rate=None).run(Bus(session, "again", "replay"), recording)
     for message in received(inbox, FRAMES):
         assert message.header.digest == f"digest-{message.header.frame}"
+
+
+def test_states_without_a_status_have_the_frame_of_their_time(session: zenoh.Session, tmp_path: Path) -> None:
+    """The last, as in a file that is cut between the two, and one before; messages may be numbered otherwise."""
+    write_without(tmp_path / "a.mcap", STATUS.name, (7, FRAMES - 1), number=3)
+    inbox = everything(session)
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert [frame.number for frame in recording.frames()] == list(range(FRAMES))
+        assert read_frame(recording).number == FRAMES - 1
+        replay = Replay(rate=None)
+        replay.run(Bus(session, "again", "replay"), recording)
+    messages = received(inbox, sum(replay.sent.values()))
+    for topic in (STATE.name, BODIES.name):
+        assert [m.header.frame for m in messages if m.topic == topic] == list(range(FRAMES))
+    digests = [m.header.digest for m in messages if m.topic == STATE.name]
+    assert digests == [f"digest-{k}" if k not in (7, FRAMES - 1) else "" for k in range(FRAMES)]
+
+
+def test_a_lost_state_is_missing_among_the_frames_and_named(
+    session: zenoh.Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Numbers are a replay's own, so that it can begin anywhere and loop."""
+    write_without(tmp_path / "a.mcap", STATE.name, (7,))
+    inbox = Inbox(Bus(session, "again", "listener"), [STATE])
+    with open_recording(tmp_path / "a.mcap") as recording:
+        Replay(rate=None).run(Bus(session, "again", "replay"), recording)
+    headers = [m.header for m in received(inbox, FRAMES - 1)]
+    assert [h.frame for h in headers] == [k for k in range(FRAMES) if k != 7]
+    assert [h.seq for h in headers] == list(range(FRAMES - 1))
+    assert main(["replay", str(tmp_path / "a.mcap"), "--fast", "--no-view"]) == 0
+    assert "1 of sim/state" in capsys.readouterr().err
+
+
+def write_without(path: Path, topic: str, frames: tuple[int, ...], number: int = 0) -> None:
+    """Write a recording that lacks a topic's messages of some frames; its messages are numbered from `number` on."""
+    writer, sent = RecordingWriter(path, metadata(), {}), Counter[str]()
+    for name, header, payload in items(Sheet(), FRAMES):
+        sent[name] += 1
+        if name != topic or header.frame not in frames:
+            writer.write(name, header.model_copy(update={"seq": header.seq + number}), payload)
+    writer.finish({END: {"state": "done", "complete": "true", "missing": "{}", "counts": json.dumps(sent)}})
 
 
 @pytest.mark.parametrize(("signal", "word"), [(KeyboardInterrupt, "interrupted"), (Terminated, "terminated")])

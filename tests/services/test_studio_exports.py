@@ -111,10 +111,10 @@ def test_a_button_saves_a_file(tmp_path_factory: pytest.TempPathFactory, recordi
         page.wait("document.getElementById('export-csv') !== null")
         page.value("document.getElementById('export-csv').focus()")
         page.press("Enter")
-        wait_until(lambda: (down / "one.csv").is_file(), PATIENCE)
+        wait_until(lambda: any(path.stat().st_size for path in down.glob("one.csv")), PATIENCE)  # first it is empty
         assert (down / "one.csv").read_text().startswith("frame,")
         page.wait("document.querySelector('#exported a')?.textContent === 'one.csv'")
         page.tap("#export-scene")
-        wait_until(lambda: (down / "one.yaml").is_file(), PATIENCE)
+        wait_until(lambda: any(path.stat().st_size for path in down.glob("one.yaml")), PATIENCE)  # first it is empty
         assert yaml.safe_load((down / "one.yaml").read_text())["name"] == "sheet"
         assert page.said == []

@@ -102,8 +102,8 @@ def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_flags(either, {"--record": ("FILE", "where the recording goes (default: recordings/<run>.mcap)", Path)})
     add_flags(recording, {
         "--resume": ("FILE", "go on from the last checkpoint of a recording, or of the last, with its own scene", Path),
-        "--log": ("FILE", "what happened, as lines of JSON: a file, or - for standard output (default: beside the "
-                  "recording)", Path),
+        "--log": ("FILE", "what happened, as lines of JSON: a file, which is appended to, or - for standard output "
+                  "(default: beside the recording)", Path),
     })  # fmt: skip
     add_view(parser, "show nothing and draw no picture")
     add_flags(parser, {"--mp4": ("FILE", "draw an animation at the end: .mp4 (needs nuno[video]) or .gif", Path)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -62,10 +63,14 @@ def serve_command(args: argparse.Namespace) -> int:
         return _route(args)
     for name in ("scene", "run", "connect"):
         if getattr(args, name) is None:
-            raise BadInput(
-                f"the {args.service} service needs {'a scene' if name == 'scene' else '--' + name}",
-                remedy="for example: nuno serve simulation skirt-hula --run r1 --connect tcp/127.0.0.1:7447",
-            )
+            what, where = "a scene", f"--run {args.run or 'r1'} --connect {args.connect or LISTEN}"
+            remedy = f"for example: nuno serve {args.service} {args.scene or 'skirt-hula'} {where}"
+            if args.resume is not None:
+                what, file = "the recording's scene", shlex.quote(str(args.resume))
+                serve = f"nuno serve {args.service} own.yaml --resume {file} {where}"
+                remedy = f"nuno export {file} --scene own.yaml, then {serve}"
+            missing = what if name == "scene" else f"--{name}"
+            raise BadInput(f"the {args.service} service needs {missing}", remedy=remedy)
     runs.check_id(args.run)
     if args.config is not None:
         from nuno.bus.credentials import role_of, roles

@@ -282,7 +282,7 @@ def read_frame(recording: Recording, number: int | None = None) -> Frame:
     message, times = find_message(recording, STATE.name, number)
     if message is None:
         raise recording.no_frame(number, times)
-    frame, digest = recording.marks().get(message.log_time, (message.seq, ""))
+    frame, digest = recording.mark(message)
     return Frame(frame, message.t, digest, recording.points(message))
 
 

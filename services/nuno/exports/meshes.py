@@ -289,7 +289,7 @@ class Show:
     def cloth(self, message: Recorded) -> list[Shape]:
         """Return the cloth in a message of `sim/state`. Raises BadInput if it is damaged or not finite."""
         x, t = self.recording.points(message), message.t
-        number, digest = self.recording.marks().get(message.log_time, (message.seq, ""))
+        number, digest = self.recording.mark(message)
         pieces = self._pieces.at(t)
         check_size(self.recording, pieces, Frame(number, t, digest, x), finite=True)
         dressed = pieces if self._dyed is None else self._dyed.dress(pieces, t)

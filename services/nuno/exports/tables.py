@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 
-from nuno.output_files import writing
+from nuno.output_files import make_folder, replacing, together, writing
 from nuno.recording.reader import Recording, opened
 from nuno.scene.edit import comment
 from nuno.scene.recorded_scene import restored_scene
@@ -27,15 +28,32 @@ FAMILIES = {"energy_": "J", "wrinkles_": "m", "force_": "N", "pressure_": "Pa"}
 """Units of columns by the start of their names."""
 
 
-def export_scene(source: Recording | Path | str, path: Path) -> Path:
-    """Write the recorded scene, with a comment on each field. Raises BadInput for a recording without a scene, or with
-    one that this version refuses.
+def export_scene(source: Recording | Path | str, path: Path) -> list[Path]:
+    """Write the recorded scene, with a comment on each field, and the files that it names next to it; return the
+    written files. Raises BadInput for a recording without a scene, or with one that this version refuses, and where
+    another file would be lost.
     """
-    with opened(source) as recording, restored_scene(recording) as loaded, writing(path, ".yaml") as new:
+    with together(), opened(source) as recording, restored_scene(recording) as loaded, writing(path, ".yaml") as new:
+        missing = {file: data for file, data in scene_files(recording, path).items() if not file.exists()}
         head = [f"# the scene of {recording.path.name}"]
         head += [f"# with {name}, which is to lie beside it" for name in recording.attachments]
         new.write_text("\n".join([*head, comment(loaded)]), encoding="utf-8")
-    return path
+        for file, data in missing.items():
+            for folder in reversed(file.relative_to(path.parent).parents[:-1]):
+                make_folder(path.parent / folder)
+            with replacing(file) as part:
+                part.write_bytes(data)
+    return [path, *missing]
+
+
+def scene_files(recording: Recording, path: Path) -> dict[Path, bytes]:
+    """Return the files that belong next to an exported scene. Raises BadInput where another file is there."""
+    files = {path.parent / name: recording.attachment(name) for name in recording.attachments}
+    for file, data in files.items():
+        if os.path.lexists(file) and not (file.is_file() and file.read_bytes() == data):
+            problem = "the scene names a file, and another one is there"
+            raise BadInput(problem, field="--scene", value=str(file), remedy="choose another folder, or move it away")
+    return files
 
 
 def export_csv(source: Recording | Path | str, path: Path) -> Path:

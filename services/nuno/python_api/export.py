@@ -43,7 +43,7 @@ FILES = {
     "ros2": "the same for RViz and ros2 bag play: a new folder, a bag of ROS 2 (needs nuno[ros])",
     "pattern": "the flat pattern of sewn garments at true size, .svg or .pdf (needs nuno[pdf])",
     "yarns": "a knit's yarns as curves, .npz or .obj, of a frame",
-    "scene": "the scene as it was run, .yaml",
+    "scene": "the scene as it was run, .yaml, and the files that it names",
 }
 """Kinds of files, by their flags."""
 WRITERS = {
@@ -189,7 +189,7 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     from nuno.exports.animations import check_animation
     from nuno.viewer.live import require
 
-    _check_files(asked)
+    _check_files(recording, asked)
     for path in filter(None, (asked.gif, asked.mp4)):
         check_animation(path, asked.fps, _size(asked.size))
     for name in ("usd", "foxglove", "ros2"):
@@ -233,18 +233,20 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     _check_frames(recording, asked)
 
 
-def _check_files(asked: ExportRequest) -> None:
+def _check_files(recording: Recording, asked: ExportRequest) -> None:
     """Raise BadInput for a file that could not be written, and for two of one name."""
     from nuno.exports.pictures import check_sides
+    from nuno.exports.tables import scene_files
 
     check_sides(_size(asked.size))
-    places: dict[Path, str] = {}
+    beside = [] if asked.scene is None else scene_files(recording, asked.scene)
+    places = {path.absolute(): "a file that the scene names" for path in beside}
     for name in (name for name in FILES if getattr(asked, name) is not None):
         path: Path = getattr(asked, name)
         ending = path.suffix.lower()
-        if (other := places.setdefault(path.absolute(), name)) != name:
+        if (other := places.setdefault(path.absolute(), f"--{name}")) != f"--{name}":
             remedy = "give each a name of its own"
-            raise BadInput(f"--{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
+            raise BadInput(f"{other} is to be written there, too", field=f"--{name}", value=str(path), remedy=remedy)
         if name in ENDINGS and ending not in ENDINGS[name]:
             problem = f"the name must end in {' or '.join(ENDINGS[name])}"
             remedy = f"{path.stem or 'out'}{ENDINGS[name][0]}"

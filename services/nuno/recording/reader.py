@@ -298,10 +298,10 @@ class Recording:
     def frames(self, start: float | None = None, end: float | None = None) -> Iterator[Frame]:
         """Yield published positions with start <= t < end [s] in float32 precision; `nuno.states` has float64 ones."""
         for message in self.messages([STATE.name], start, end):
-            number, digest = self.marks().get(message.log_time, (message.seq, ""))
+            number, digest = self.mark(message)
             yield Frame(number, message.t, digest, self.points(message))
 
-    @property
+    @cached_property
     def dyed_alone(self) -> bool:
         """Whether the scene is dyed cloth that does not move."""
         dye = self.scene.get("dye")
@@ -317,6 +317,18 @@ class Recording:
             statuses = ((m.log_time, self.said(m)) for m in self.messages([name]))
             self._marks[name] = {time: (fields["frame"], fields["digest"]) for time, fields in statuses}
         return self._marks[name]
+
+    def mark(self, message: Recorded) -> tuple[int, str]:
+        """Return frame number and digest at the time of a message; if no status has this time, the number that the time
+        has by the last status (frame k is at k / rate), else the message's own, and no digest.
+        """
+        marks = self.marks(DYE_STATUS.name if message.topic.startswith("dye/") else None)
+        if message.log_time in marks:
+            return marks[message.log_time]
+        time, (frame, _) = next(reversed(marks.items()), (0, (0, "")))
+        if time and frame > 0 and (number := round(message.log_time * frame / time)) < MOST_FRAMES:
+            return number, ""
+        return message.seq if message.topic == STATE.name else -1, ""
 
     def no_frame(self, number: int | None, present: Collection[int]) -> BadInput:
         """Return the error for a frame that is not in the recording."""

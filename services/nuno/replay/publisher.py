@@ -59,12 +59,12 @@ class Replay:
     def run(self, bus: Bus, recording: Recording, progress: Progress | None = None) -> None:
         """Publish `recording` as the run of `bus`, until its end or `stop`.
 
-        Headers are new: the run is the bus's, numbers count from 0 on, frame and digest come
-        from the status of each frame. `progress` is called with each frame's time [s]. Raises
-        BadInput for a rate or start out of range, RunFailed where a service in `must_see` dies or
-        hangs.
+        Headers are new: the run is the bus's, numbers count from 0 on, without the recording's gaps,
+        since a loop goes back; frame and digest are those of `Recording.mark`. `progress` is called
+        with each frame's time [s]. Raises BadInput for a rate or start out of range, RunFailed where
+        a service in `must_see` dies or hangs.
         """
-        span, marks = self.check(recording)
+        span = self.check(recording)
         acks = _Acks(bus, self.must_see)
         try:
             while not self.stop.is_set():
@@ -73,7 +73,7 @@ class Replay:
                     self._wait(message.t - max(self.start, span[0]), begin)
                     if self.stop.is_set():
                         return
-                    self._publish(bus, message, marks)
+                    self._publish(bus, message, *recording.mark(message))
                     if message.topic in FRAMES:
                         acks.wait(self.frames - WINDOW, self.stop)
                         if progress is not None:
@@ -89,8 +89,8 @@ class Replay:
         """Number of sent frames."""
         return sum(self.sent.get(name, 0) for name in FRAMES)
 
-    def check(self, recording: Recording) -> tuple[tuple[float, float], dict[str, dict[int, tuple[int, str]]]]:
-        """Return start and end of a recording [s], and its marks. Raises BadInput if it cannot be replayed."""
+    def check(self, recording: Recording) -> tuple[float, float]:
+        """Return start and end of a recording [s]. Raises BadInput if it cannot be replayed."""
         if self.rate is not None and not 1e-6 <= self.rate <= 1e6:
             limit, remedy = "1e-6 to 1e6", "1 is real time"
             raise BadInput("no such rate", field="--rate", value=self.rate, limit=limit, remedy=remedy)
@@ -102,7 +102,9 @@ class Replay:
         if not self.start <= span[1]:
             limit = f"the recording ends at {span[1]:g} s"
             raise BadInput("nothing to replay there", field="--start", value=self.start, limit=limit)
-        return span, {"dye": recording.marks(DYE_STATUS.name), "": recording.marks()}
+        for status in (DYE_STATUS.name, None):
+            recording.marks(status)  # damage is refused before anything is published
+        return span
 
     def _wait(self, elapsed: float, begin: float) -> None:
         """Sleep until `elapsed` simulated seconds are due; late messages are sent at once."""
@@ -111,10 +113,8 @@ class Replay:
             if due > 0:
                 self.stop.wait(due)
 
-    def _publish(self, bus: Bus, message: Recorded, marks: dict[str, dict[int, tuple[int, str]]]) -> None:
+    def _publish(self, bus: Bus, message: Recorded, frame: int, digest: str) -> None:
         topic = topic_of(message.topic) or Topic(message.topic, "json", "")
-        service = message.topic.partition("/")[0]
-        frame, digest = marks.get(service, marks[""]).get(message.log_time, (-1, ""))
         bus.publisher(topic).put(message.payload, frame, message.t, digest if message.topic in DIGESTED else "")
         self.sent[message.topic] = self.sent.get(message.topic, 0) + 1
 

@@ -10,11 +10,13 @@ import contextlib
 import hashlib
 import json
 import logging
+import os
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from io import TextIOWrapper
 from logging.handlers import MemoryHandler
 from pathlib import Path
 from typing import Any, TextIO
@@ -110,11 +112,21 @@ class _Once(logging.StreamHandler[TextIO]):
 
 
 class _File(_Once, logging.FileHandler):
-    """A run's log, opened at its first record."""
+    """A run's log, opened at its first record, and appended to: lines of earlier runs stay, and after logrotate's
+    copytruncate the file has no hole.
+    """
 
     def __init__(self, target: Path) -> None:
         self.named = str(target)
-        super().__init__(target, "w", "utf-8", delay=True)
+        super().__init__(target, "a", "utf-8", delay=True)
+
+    def _open(self) -> TextIOWrapper:
+        stream = super()._open()
+        if stream.seekable() and stream.tell():  # a full disk may have cut the last line
+            with open(self.baseFilename, "rb") as written:
+                written.seek(-1, os.SEEK_END)
+                stream.write("" if written.read() == b"\n" else "\n")
+        return stream
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a record; report a file that cannot be opened."""
@@ -130,7 +142,7 @@ class _File(_Once, logging.FileHandler):
 
 
 class _UntilReady(MemoryHandler):
-    """Buffers records until the services are ready: a refused run does not overwrite an existing log."""
+    """Buffers records until the services are ready: a refused run writes no log."""
 
     ready = False
 
@@ -149,7 +161,7 @@ def _is_log(path: Path) -> bool:
 
 @contextlib.contextmanager
 def written(run: str, target: Path | None, others: Iterable[Path] = ()) -> Iterator[None]:
-    """Write a run's records to a file, to standard output for -, nowhere for None.
+    """Append a run's records to a file, or write them to standard output for -, nowhere for None.
 
     A refused run leaves no file. Raises BadInput where the file cannot be written, is no log, or is one of `others`.
     """
@@ -162,7 +174,7 @@ def written(run: str, target: Path | None, others: Iterable[Path] = ()) -> Itera
     if str(target) != "-" and (target.is_file() or not target.exists()):  # a pipe is written immediately
         itself = target.resolve() in [path.resolve() for path in others]
         if itself or (target.is_file() and not _is_log(target)):
-            problem = "the run itself uses that file" if itself else "what is there is no log and would be lost"
+            problem = "the run itself uses that file" if itself else "what is there is no log of runs"
             raise BadInput(problem, field="--log", value=str(target), remedy="choose another name with --log FILE")
         check_unprotected(target, "--log")
         try:

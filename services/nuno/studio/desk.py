@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import re
+import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
@@ -67,6 +68,7 @@ class Exports:
         before = self._made.get((path.name, kind))
         going = before is not None and before[1].code is None  # the file may have grown since its start
         if before is None or (not going and (before[0] != stamp or (before[1].code and request.get("again")))):
+            shutil.rmtree(self._file(path.name, kind).parent)  # a scene's files of an earlier recording of this name
             child = Child(["export", str(path), f"--{kind}", str(self._file(path.name, kind)), "--progress"])
             before = self._made[path.name, kind] = (stamp, child)
         child = before[1]
@@ -88,8 +90,8 @@ class Exports:
         return KINDS[kind][1], self._file(name, kind).read_bytes()
 
     def _file(self, recording: str, kind: str) -> Path:
-        folder = self.folder / recording
-        folder.mkdir(exist_ok=True)
+        folder = self.folder / recording / kind
+        folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{run_of(recording)}{KINDS[kind][0]}"
 
     def forget(self, name: str) -> None:
@@ -98,7 +100,7 @@ class Exports:
             _, child = self._made.pop(key)
             if child.code is None:
                 child.end()
-            self._file(*key).unlink(missing_ok=True)
+            shutil.rmtree(self._file(*key).parent)
 
     def close(self) -> None:
         """Stop all exports, and remove all files."""

@@ -140,11 +140,9 @@ def convert(recording: Recording, path: Path) -> Path:
         if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
         file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter)
-        marks = recording.marks()
         try:
             for message in recording.messages():
-                frame, _ = marks.get(message.log_time, (-1, ""))
-                file.feed(message.topic, frame, message.t, message.payload)
+                file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
         except BadMessage as error:
             file.abort()
             raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
