@@ -335,12 +335,23 @@ def _changes_cloth(item: object) -> bool:
 
 
 def _require_same_cloth(recording: Recording, fabric: Fabric) -> None:
-    """Raise BadInput where the scene's models build other cloth than was recorded, as those of a changed plugin may."""
-    recorded, _ = recording.arrays(next(recording.messages([FABRIC.name]), None))
-    here = _constant_arrays(fabric)
-    for name, values in recorded.items():
-        if name in here and not (values.shape == here[name].shape and np.allclose(values, here[name], rtol=1e-5)):
-            raise BadInput("the scene's models build other cloth now", str(recording.path), field=name, remedy=RECORDED)
+    """Raise BadInput where a resumed run's cloth is none that was recorded: its models, as of a changed plugin, build
+    other cloth. Cloth that operations have changed comes from the checkpoint.
+    """
+    here, differing = _constant_arrays(fabric), ""
+    for message in recording.messages([FABRIC.name]):
+        recorded, _ = recording.arrays(message)
+        differing = next((name for name in here if not _same(here[name], recorded.get(name, here[name]))), "")
+        if not differing:
+            return
+    if differing:
+        raise BadInput(
+            "the scene's models build other cloth now", str(recording.path), field=differing, remedy=RECORDED
+        )
+
+
+def _same(here: NDArray[Any], recorded: NDArray[Any]) -> bool:
+    return here.shape == recorded.shape and np.allclose(here, recorded, rtol=1e-5)
 
 
 def _require_same_poses(recording: Recording, simulation: Simulation) -> None:
@@ -371,8 +382,8 @@ def main(context: Context) -> None:
         require_touched(simulation)
     if context.options.resume is not None:
         with open_recording(context.options.resume) as recording:
-            _require_same_cloth(recording, simulation.fabric)
             resume(simulation, context.options.resume)
+            _require_same_cloth(recording, simulation.fabric)
             if geometry is not None and not context.loaded.live:
                 _require_same_poses(recording, simulation)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it

@@ -176,13 +176,22 @@ ROOT Hips
       OFFSET 0 -1 0
     }
   }
+  JOINT Spine
+  {
+    OFFSET 0 1 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 1 0
+    }
+  }
 }
 MOTION
 Frames: 3
 Frame Time: 0.0333333
-0 2 0 0 0 0 10 0 0
-0 2 0.1 0 5 0 20 0 0
-0.1 2 0.2 3 5 0 20 0 1
+0 2 0 0 0 0 10 0 0 0 0 0
+0 2 0.1 0 5 0 20 0 0 0 0 0
+0.1 2 0.2 3 5 0 20 0 1 0 0 0
 """
 WIF = b"""[WIF]\nVersion=1.1\n[CONTENTS]\nWEAVING=true\n[WEAVING]\nShafts=2\nTreadles=2\nRising Shed=true
 [WARP]\nThreads=4\nColor=2\nUnits=Centimeters\nSpacing=0.05\nThickness=0.04
