@@ -154,7 +154,7 @@ class Supervisor:
                 self.say(text if by_hand else SETTLING if settles else PREPARING)
             elif self.progress is not None and waited > next_word:
                 next_word += PREPARING_EVERY
-                self.say(f"not ready after {waited:.0f} s: {', '.join(sorted(missing))}")
+                self.say(f"still preparing after {waited:.0f} s: {', '.join(sorted(missing))}")
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
