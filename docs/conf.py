@@ -1,4 +1,6 @@
-"""How Sphinx makes the site of these pages: `make docs`. The pages stay readable as they stand, on a code host too."""
+"""How Sphinx makes the site of these pages: `make docs`. The pages stay readable as they stand, on a code host too,
+but for three of the reference, which are made here from the code.
+"""
 
 from __future__ import annotations
 

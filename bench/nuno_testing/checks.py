@@ -153,7 +153,7 @@ D0, LANGMUIR = 1e-9, Isotherm("langmuir", 2.0)
 
 
 def cloth(side: int) -> Cells:
-    """Return random cells, some of which have little or no capacity left by paste or binding."""
+    """Return random cells; paste or binding leaves some of them little or no capacity."""
     rng, shape = np.random.default_rng(11), (2, side, side + 1)
     up = rng.random(shape[1:]) > 0.5
     porosity, resist = rng.uniform(0.2, 0.8, shape), rng.random(shape) * (rng.random(shape) > 0.7)

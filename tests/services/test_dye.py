@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno.scene.json_schema import scene_schema
 from nuno.scene.warnings import scene_warnings
+from nuno_dye.cloths.cells import CellsCloth
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import DYE_CHECKPOINT
 
@@ -134,6 +136,20 @@ def test_a_resumed_run_ends_in_the_same_bits(solver: str, tmp_path: Path) -> Non
     with nuno.open(tmp_path / "resumed.mcap") as ours, nuno.open(whole.path) as reference:
         assert ours.marks() == reference.marks()
         assert ours.series()["mobile_red"].tolist() == reference.series()["mobile_red"].tolist()
+
+
+def test_a_dyeing_is_resumed_in_the_cells_that_were_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = nuno.run(write_scene(tmp_path), "duration=9 s", record=tmp_path / "part.mcap").path
+    build = CellsCloth.build
+
+    def denser(*given: Any) -> Any:
+        cells, state = build(*given)
+        return replace(cells, porosity=0.9 * cells.porosity), state
+
+    monkeypatch.setattr(CellsCloth, "build", denser)
+    with pytest.raises(BadInput, match="porosity: the scene's models build other cloth now"):
+        nuno.resume(path, duration="18 s", record=tmp_path / "resumed.mcap")
+    assert not (tmp_path / "resumed.mcap").exists()
 
 
 @pytest.mark.full

@@ -29,7 +29,7 @@ BODIES = [
 
 @pytest.fixture
 def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A recording whose scene names a file beside it and one in a folder, in a folder without them."""
+    """A recording of a scene that names a file in its folder and one in a folder there, moved away from both."""
     data = yaml.safe_load(write_scene(tmp_path, bodies=BODIES).read_text())
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")

@@ -19,6 +19,7 @@ from nuno_schemas.plugin import Config, Files, Mover
 from nuno_schemas.vectors import norm
 
 TURN = 2.0 * math.pi * (1.0 - 1e-12)
+"""A whole turn [rad], but for rounding."""
 WIDTH = {"euler": 3, "axis_angle": 4, "quaternion": 4}
 
 

@@ -77,7 +77,7 @@ class BodyVertices(NamedTuple):
     local: Float
     """(b, 3) where they are in their frames [m]"""
     frame: Int
-    """(b,) of which frame each is"""
+    """(b,) the frame of each"""
     law: Float
     """(bodies, 2) Coulomb coefficient, and damping as a ratio of critical"""
     rotation0: Float

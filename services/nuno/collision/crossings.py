@@ -306,7 +306,7 @@ def _candidates(one: Boxes, two: Boxes) -> Iterator[tuple[Long, Long]]:
     most = 2**BITS - 1
     above = _pack(np.full((3, 1), most + 1), np.full((3, 1), most + 1))
     upper, lower = _pack(high_one, most - low_one) | above, _pack(low_two, most - high_two)
-    # A row is a box and WIDE consecutive others of the table, the last of which may be of other cells.
+    # A row is a box and WIDE consecutive others of the table; the last may be of other cells.
     other = np.resize(other, len(other) + WIDE)
     rows = np.ascontiguousarray(sliding_window_view(lower[other], WIDE))
     total = np.cumsum(count)

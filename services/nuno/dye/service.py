@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
-from nuno.recording.reader import before_checkpoint
+from nuno.recording.reader import before_checkpoint, open_recording
 from nuno.runtime.driver import Driver
 from nuno.runtime.service import Context, FrameWatchdog
-from nuno.runtime.stepper import Stepped, resume
+from nuno.runtime.stepper import Stepped, require_recorded, resume
+from nuno_schemas.dye import Cells
 from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS
 
 
@@ -35,9 +36,7 @@ class DyeDriver(Driver):
     def publish_cloth(self) -> None:
         """Publish the cloth's data for viewers and recordings, at the start and after a change."""
         dyeing, cells = self.dyeing, self.dyeing.cells
-        arrays: dict[str, NDArray[Any]] = {"fibre": cells.fibre, "up": cells.up} | {
-            name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")
-        }
+        arrays = _constant_arrays(cells)
         if cells.yarns is not None:
             arrays |= {"weft_yarn": cells.yarns[0], "warp_yarn": cells.yarns[1]}
         if cells.ground is not None:
@@ -98,6 +97,12 @@ class DyeDriver(Driver):
         return {entry.name: entry.share for entry in self.dyeing.supplies.entries if entry.finite}
 
 
+def _constant_arrays(cells: Cells) -> dict[str, NDArray[Any]]:
+    """Return the arrays of `dye/cloth` that all cells have."""
+    fields = {name: np.asarray(getattr(cells, name), np.float32) for name in ("porosity", "twist", "resist")}
+    return {"fibre": cells.fibre, "up": cells.up} | fields
+
+
 def _finite(value: float) -> float | None:
     """Return a number for JSON, None if it is not finite."""
     return value if math.isfinite(value) else None
@@ -109,6 +114,8 @@ def main(context: Context) -> None:
     dyeing = DyeRun(context.loaded, context.options.threads, leave=watchdog.leave)
     if context.options.resume is not None:
         resume(dyeing, context.options.resume)
+        with open_recording(context.options.resume) as recording:
+            require_recorded(recording, CLOTH, _constant_arrays(dyeing.cells))
     driver = DyeDriver(context, dyeing, watchdog)
     balances = [one["balance"] for one in before_checkpoint(context.options.resume, [DYE_STATUS.name])]
     driver.balance = math.nan if None in balances else max([0.0, *balances])

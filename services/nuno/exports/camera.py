@@ -62,10 +62,10 @@ def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
 
 def view_doubts(recording: Recording, overrides: Sequence[str]) -> list[str]:
     """Return warnings of bare numbers in overrides of the view whose unit was probably forgotten. Raises BadInput."""
-    given = {"view": dict[str, Any]()}
-    for item in filter(CAMERA.match, overrides):
+    given, camera = {"view": dict[str, Any]()}, [item for item in overrides if CAMERA.match(item)]
+    for item in camera:
         apply_override(given, item)
-    return implausible_fields(given["view"], read_view(recording, tuple(filter(CAMERA.match, overrides))), "view.")
+    return implausible_fields(given["view"], read_view(recording, camera), "view.")
 
 
 def turned(camera: Camera, angle: float) -> Camera:

@@ -254,8 +254,9 @@ def choose_frames(recording: Recording, fps: float, start: float | None, end: fl
     first = times[0] if start is None else max(start, times[0])
     last = times[-1] if end is None else min(end, times[-1])
     limit = f"{times[0]:g} to {times[-1]:g} s"
+    frame = times[-1] - times[-2] if len(times) > 1 else 0.0  # a duration may end within a frame
     for name, asked in (("--start", start), ("--end", end)):
-        if asked is not None and not times[0] - 1e-6 <= asked <= times[-1] + 1e-6:
+        if asked is not None and not times[0] - 1e-6 <= asked <= times[-1] + frame + 1e-6:
             problem = "nothing to show there: the recording has no such time"
             raise BadInput(problem, str(recording.path), field=name, value=asked, limit=limit)
     if not first <= last:

@@ -297,6 +297,28 @@ def resume(stepper: Stepper, path: Path) -> None:
         take_up(stepper, recording, point)
 
 
+RECORDED = "resume with the plugins that it was recorded with (nuno info names their versions), or run the scene anew"
+
+
+def require_recorded(recording: Recording, topic: Topic, here: Mapping[str, NDArray[Any]]) -> None:
+    """Raise BadInput where a resumed run's constant arrays are none that were recorded in a topic: the scene's models,
+    as of a changed plugin, build something else. What was changed during the run comes from the checkpoint.
+    """
+
+    def same(name: str, recorded: Arrays) -> bool:
+        there = recorded.get(name, here[name])
+        return here[name].shape == there.shape and np.allclose(here[name], there, rtol=1e-5)
+
+    differing: str | None = None
+    for message in recording.messages([topic.name]):
+        recorded, _ = recording.arrays(message)
+        if (differing := next((name for name in here if not same(name, recorded)), None)) is None:
+            return
+    if differing is not None:
+        problem = "the scene's models build other cloth now"
+        raise BadInput(problem, str(recording.path), field=differing, remedy=RECORDED)
+
+
 class Resimulation:
     """Cloth or dye of a recording, which can be stepped to any frame."""
 

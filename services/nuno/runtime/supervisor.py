@@ -76,7 +76,7 @@ PATIENCE_AT_END = {"render": DRAWING_TIMEOUT, "recorder": WRITING_TIMEOUT}
 LAST_WORDS = 1.0
 """Longest wait for the error of a service that has gone [s]."""
 PREPARING_AFTER, PREPARING_EVERY = 1.5, 10.0
-"""Time of preparation after which a message is shown, and of which each shows which services are not ready [s]."""
+"""Time of preparation until the first message, and between messages that name the services that are not ready [s]."""
 PREPARING = "preparing; what the first run of a kind of scene compiles, the next one finds ready"
 SETTLING = "the cloth comes to rest on coarser triangles first"
 GONE = "its process ended or the connection broke"
