@@ -22,7 +22,9 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.cli.active_runs import SLOW
+from nuno.exports.tables import export_scene
 from nuno.recording.reader import control_events
+from nuno.report.run_report import lines, make_report
 from nuno.runtime import runs
 from nuno.runtime.driver import Driver
 from nuno.scene import scene_file
@@ -59,6 +61,31 @@ def test_control_pauses_steps_changes_and_stops(run: Run) -> None:
     assert run.stop().state == "stopped"
     with nuno.open(run.record) as recording:
         assert [event.text for event in control_events(recording)] == ["pause", "step", "set", "resume", "stop"]
+
+
+def test_a_report_and_an_exported_scene_name_what_was_changed_during_the_run(tmp_path: Path) -> None:
+    """Energy also comes from a change of gravity, and what a change brings in is not left out; a resumed run, too."""
+    run = start_long(tmp_path, damping=0.0)
+    run.control("pause")
+    frame = run.wait_until_paused()
+    for item in ("gravity=[0, 0, -1.62]", "damping=2.5", "forces=[{plugin: particle_wind, strength: 1 mN}]"):
+        assert run.control("set", item=item)["ok"]
+    run.control("step", frames=2)
+    run.wait_until_paused()
+    report = make_report(run.loaded, run.stop())
+    assert [text.partition("=")[0] for text in report["steered"]] == ["gravity", "damping", "forces"]
+    assert all(text.endswith(f"(frame {frame})") for text in report["steered"])
+    headings = {text.partition(": ")[0] for text in report["left_out"]}
+    assert not headings & {"viscous damping", "wind and other forces"} and "wrinkles" in headings
+    (balance,) = (text for name, text in lines(report) if name == "balance")
+    assert balance.endswith(
+        "J by damping, wind and other forces, friction and moving bodies, and by the changes during the run"
+    )
+    (scene,) = export_scene(run.record, tmp_path / "own.yaml")
+    assert all(f"# without a change during the run: {text}\n" in scene.read_text() for text in report["steered"])
+    end = (frame + 4) / run.loaded.scene.frame_rate
+    again = nuno.resume(run.record, {"duration": end}, record=tmp_path / "again.mcap")
+    assert again.report["steered"] == report["steered"]
 
 
 def test_a_run_may_wait_before_its_first_frame_and_says_where_its_cloth_is(tmp_path: Path) -> None:

@@ -21,7 +21,16 @@ from nuno.formatting import many, plain
 from nuno.process import state_of
 from nuno.python_api.export import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.python_api.progress import ProgressLine
-from nuno.recording.reader import END, Lacks, Recording, find_lacks, open_recording, shortcoming
+from nuno.recording.reader import (
+    END,
+    Lacks,
+    Recording,
+    control_events,
+    describe_changes,
+    find_lacks,
+    open_recording,
+    shortcoming,
+)
 from nuno.replay.publisher import Replay
 from nuno.replay.verification import Verification, verify
 from nuno.report.run_report import recorded_lines
@@ -98,6 +107,8 @@ def export_command(args: argparse.Namespace) -> int:
         request = ask(**{name: getattr(args, name) for name in ExportRequest.model_fields})
         for text in view_doubts(recording, request.overrides):
             print(f"warning: {text}", file=sys.stderr)
+        if request.scene is not None and (changes := describe_changes(control_events(recording))):
+            print(f"warning: the scene lacks what was changed during its run: {'; '.join(changes)}", file=sys.stderr)
         for path in write(recording, request, _tell if args.progress else show_progress):
             print(path)
     return 0

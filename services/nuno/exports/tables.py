@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from nuno.output_files import make_folder, replacing, together, writing
-from nuno.recording.reader import Recording, opened
+from nuno.recording.reader import Recording, control_events, describe_changes, opened
 from nuno.scene.edit import comment
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput
@@ -37,6 +37,7 @@ def export_scene(source: Recording | Path | str, path: Path) -> list[Path]:
         missing = {file: data for file, data in scene_files(recording, path).items() if not file.exists()}
         head = [f"# the scene of {recording.path.name}"]
         head += [f"# with {name}, which is to lie beside it" for name in recording.attachments]
+        head += [f"# without a change during the run: {text}" for text in describe_changes(control_events(recording))]
         new.write_text("\n".join([*head, comment(loaded)]), encoding="utf-8")
         for file, data in missing.items():
             for folder in reversed(file.relative_to(path.parent).parents[:-1]):

@@ -19,7 +19,7 @@ from mcap.records import Attachment, ChunkIndex, Message
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, decode_points
-from nuno.formatting import counted
+from nuno.formatting import counted, plain
 from nuno.process import SIGNALS
 from nuno.recording.mcap_file import Damaged, Layout, read_index, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
@@ -579,6 +579,16 @@ CONTROLS = tuple(f"{EVENT.name}/{service}" for service in ("simulation", "dye"))
 def control_events(recording: Recording) -> list[Event]:
     """Return the control events of a run, in order: pause, resume, step, stop, set, add."""
     return [event for event in recording.events() if event.kind == "control"]
+
+
+CHANGES = ("set", "add")
+"""Control events that change the scene."""
+
+
+def describe_changes(events: Iterable[Event]) -> list[str]:
+    """Return the control events that change the scene, a line and once each, though two services log some."""
+    texts = [f"{e.args.get('item')} at {e.t:.6g} s (frame {e.frame})" for e in events if e.text in CHANGES]
+    return list(dict.fromkeys(plain(text).replace("\n", " ") for text in texts))
 
 
 def recorded_poses(recording: Recording, until: float = math.inf) -> dict[int, bytes]:

@@ -57,6 +57,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     if report["began"]:
         text = f"at {report['began']:g} s; time, solver, idle frames, poses and frames count from there"
         rows.append(("resumed", f"{text}, all else from the recording's start"))
+    rows += [("steered" if i == 0 else "", text) for i, text in enumerate(report.get("steered", ()))]
     rows.append(("size", f"{sizes or 'nothing to simulate'}; {report['threads']}"))
     simulated, wall = report["simulated_seconds"], report["wall_seconds"]
     speed = f"{duration(simulated)} simulated in {duration(wall)}: {factor(report['real_time_factor'])} real time"
@@ -175,7 +176,7 @@ def _physics(report: Report) -> list[tuple[str, str]]:
         kinds = [kind for kind in last if first.get(kind) or last.get(kind)]
         text = ", ".join(f"{kind} {_joules(first.get(kind, 0.0))} -> {_joules(last[kind])}" for kind in kinds)
         rows.append(("energy", text or "0 J"))
-        rows.append(("balance", _balance(first, last, report["left_out"])))
+        rows.append(("balance", _balance(first, last, report["left_out"], bool(report.get("steered")))))
     rows += [(operation["operation"], describe_start(operation["facts"])) for operation in report["arranged"]]
     stretch = report["stretch"]
     start_stretch = report.get("start_stretch") or 0.0
@@ -232,13 +233,29 @@ def _millimetres(depth: float) -> str:
     return f"{depth * 1e3:.3g} mm"
 
 
-def _balance(first: dict[str, float | None], last: dict[str, float | None], left_out: list[str]) -> str:
+def _balance(first: dict[str, float | None], last: dict[str, float | None], left_out: list[str], steered: bool) -> str:
     start, end = (_total(energy) for energy in (first, last))
     if start is None or end is None:
         return f"{_joules(start)} -> {_joules(end)}"
     causes = {"damping": "", "wind and other forces": "the scene names none", "friction and moving bodies": "no bodies"}
     work = ", ".join(cause for cause, absent in causes.items() if not (absent and absent in " ".join(left_out)))
-    return f"{_joules(start)} -> {_joules(end)}: {_joules(end - start)} by {work}"
+    changed = ", and by the changes during the run" if steered else ""
+    return f"{_joules(start)} -> {_joules(end)}: {_joules(end - start)} by {work}{changed}"
+
+
+STEERABLE = {
+    "forces": "wind and other forces",
+    "damping": "viscous damping",
+    "gravity": "gravity",
+    "wrinkle": "wrinkles",
+}
+"""Headings of what a run leaves out, by the start of the change that brings it in."""
+
+
+def _left_out(outcome: Outcome, steered: list[str]) -> list[str]:
+    """Return what the scene leaves out, but for what was brought in during the run."""
+    brought = {heading for field, heading in STEERABLE.items() if any(text.startswith(field) for text in steered)}
+    return [text for text in outcome.plan.left_out if text.partition(": ")[0] not in brought]
 
 
 def _percent(stretch: float | None) -> str:
@@ -264,8 +281,8 @@ SIZES, DYE_SIZES = ("vertices", "springs", "triangles of a membrane", "hinges"),
 LEADER_DEFAULTS: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
-    "start_stretch": 0.0, "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "yarns": {},
-    "courses": {}, "pressure": {},
+    "start_stretch": 0.0, "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "steered": [],
+    "yarns": {}, "courses": {}, "pressure": {},
 }  # fmt: skip
 """Fields of the leading service's summary, and their values where it has none."""
 
@@ -309,7 +326,7 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,
         **_traffic(outcome),
         "services": list(outcome.plan.services),
-        "left_out": list(outcome.plan.left_out),
+        "left_out": _left_out(outcome, summary.get("steered", [])),
         **{name: summary.get(name, default) for name, default in LEADER_DEFAULTS.items()},
     }
 

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from nuno.bus.encodings import encode_arrays
 from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query
 from nuno.bus.sessions import PATIENCE
+from nuno.recording.reader import describe_changes
 from nuno.recording.recorded import Checkpoint
 from nuno.runtime.service import LOOK_SECONDS, Context, FrameWatchdog, ack_topic, asks_to_finish
 from nuno.runtime.stepper import Stepped, Stepper
@@ -238,7 +239,8 @@ class Driver(ABC):
         if action not in ("start", "status"):
             args = {name: request[name] for name in ("item", "frames") if name in request}
             args |= {name: change.pop(name) for name in ("item",) if name in change}
-            self.context.event("control", action, stepper.frame, stepper.t, **args)
+            event = self.context.event("control", action, stepper.frame, stepper.t, **args)
+            stepper.steered += tuple(describe_changes([event]))
         answer = {"ok": True, "state": self.state, "before": before, "left": self.left}
         return answer | {"frame": stepper.frame, "frames": self.scene.frames, "t": stepper.t} | change
 
@@ -385,4 +387,5 @@ class Driver(ABC):
         clock = None if self.clock is None else self.clock.facts()
         digest = self.digest if self.abandoned else stepper.digest()
         rest = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
+        rest |= {"steered": list(stepper.steered)}
         return result | times | steps | rest | self.facts(ended)

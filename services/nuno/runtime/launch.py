@@ -136,7 +136,6 @@ class Plan:
 def make_plan(loaded: Loaded, options: Options) -> Plan:
     """Choose the services for a scene and the user's options."""
     scene = loaded.scene
-    absent = [name for name, part in (("dye", scene.dye), ("wrinkles", scene.operations)) if not part]
     # Each with whether it is needed, and the text if it is not.
     services = [
         ("simulation", scene.moves, "simulation and collision services: nothing in the scene moves"),
@@ -157,7 +156,8 @@ def make_plan(loaded: Loaded, options: Options) -> Plan:
         ("bodies", bool(scene.bodies) or not scene.meets, "contact with bodies: the scene has none"),
         ("cloth", scene.meets, "contact of cloth with cloth, which passes through: cloth_contact is not given"),
         ("gravity", any(scene.gravity), "gravity: 0"),
-        ("others", not absent, f"{' and '.join(absent)}: the scene has none"),
+        ("dye", bool(scene.dye), "dye: the scene has none"),
+        ("operations", bool(scene.operations), "wrinkles: the scene has none"),
     ]
     if not scene.moves:  # nothing acts on cloth that is only dyed
         services, parts = [service for service in services if service[0] != "collision"], []

@@ -93,12 +93,13 @@ class Context:
     def __post_init__(self) -> None:
         self.watch = Watch(self.bus)
 
-    def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> None:
-        """Publish an event to the run and its recording."""
+    def event(self, kind: str, text: str, frame: int = -1, t: float = 0.0, **args: Any) -> Event:
+        """Publish an event to the run and its recording, and return it."""
         event = Event.model_validate(
             {"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args}
         )
         self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
+        return event
 
     def acknowledge(self, frame: int, t: float) -> None:
         """Acknowledge a frame that this service has handled."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from nuno.formatting import factor, megabytes, roughly
 from nuno.plugin_contract.values import ContractError, check_array
-from nuno.recording.reader import Recording, control_events, open_recording
+from nuno.recording.reader import CHANGES, Recording, control_events, describe_changes, open_recording
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint, Recorded
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
@@ -73,6 +73,8 @@ class Stepper(ABC):
 
     leave: NDArray[np.int64]
     """(1,) nonzero tells the solver to abandon its frame, as in nuno_schemas.system.System"""
+    steered: tuple[str, ...] = ()
+    """Changes of the scene by control requests so far, in words."""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
 
@@ -268,9 +270,6 @@ def copy_into(target: Arrays, source: Arrays, some: bool = False) -> None:
 
 # Resimulation of a recording from a checkpoint, with the changes that were made during its run.
 
-CHANGES = ("set", "add")
-"""Control events that change the scene."""
-
 
 def changes_of(recording: Recording, service: str) -> list[Event]:
     """Return the control events that changed a service's cloth or dye during the run, in order. Raises BadInput."""
@@ -279,8 +278,9 @@ def changes_of(recording: Recording, service: str) -> list[Event]:
 
 def take_up(stepper: Stepper, recording: Recording, point: Checkpoint) -> None:
     """Bring a new stepper to a checkpoint of its scene's recording. Raises BadInput where it does not fit."""
-    changes = changes_of(recording, stepper.service)
-    stepper.resume(point, [event for event in changes if event.frame <= point.frame])
+    changes = [event for event in changes_of(recording, stepper.service) if event.frame <= point.frame]
+    stepper.resume(point, changes)
+    stepper.steered = tuple(describe_changes(changes))
 
 
 def resume(stepper: Stepper, path: Path) -> None:
