@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dye_scene import write_scene as write_dye_scene
 from scenes import BALL, write_scene
 
 import nuno
@@ -16,6 +17,7 @@ from nuno.report.run_report import Report, brief, lines
 from nuno.runtime.stepper import Stepped
 from nuno.scene.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
 from nuno.simulation.run import Simulation
+from soak.fuzz.files import BVH
 
 
 @pytest.fixture(scope="module")
@@ -177,3 +179,23 @@ def test_a_resumed_runs_report_is_of_the_whole_recording(
         assert recording.report()["energy"][0] == result.report["energy"][0]
     assert "resumed     at 1 s; time, " in capsys.readouterr().out
     assert rows(result.report, "resumed") == []
+
+
+@pytest.mark.parametrize("kind", ["chain", "ball", "walker", "dye"])
+def test_a_plan_states_the_size_that_a_recording_has(kind: str, tmp_path: Path) -> None:
+    """Within a tenth: positions, bodies, contact forces, status, checkpoints, files and the file's own bytes."""
+    if kind == "dye":
+        scene = write_dye_scene(tmp_path)
+    elif kind == "walker":
+        walk = tmp_path / "walk.bvh"
+        walk.write_bytes(BVH)
+        body = {"name": "body", "collider": {"plugin": "skeleton"}, "motion": {"plugin": "bvh", "file": walk.name}}
+        scene = write_scene(tmp_path, bodies=[body], duration=1.0)
+    else:
+        more: dict[str, Any] = {"bodies": BALL, "record": {"contact_forces": True}} if kind == "ball" else {}
+        scene = write_scene(tmp_path, duration=2.0, **more)
+    storage = next(text for heading, text in nuno.plan(scene) if heading == "storage")
+    number, unit = storage.split()[:2]
+    stated = float(number) * {"MB": 1e6, "GB": 1e9}[unit]
+    written = nuno.run(scene, record=tmp_path / "run.mcap").path.stat().st_size
+    assert stated == pytest.approx(written, rel=0.1)

@@ -9,12 +9,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nuno.bus.encodings import encode_arrays
 from nuno.collision.bodies import find_sizes
+from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.replay.verification import steppers
 from nuno.report.run_report import describe_start
 from nuno.runtime.launch import make_plan
 from nuno.runtime.service import Options
+from nuno.runtime.stepper import MESSAGE
 from nuno.scene import scene_file
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
     from nuno.simulation.run import Simulation
 
 Row = tuple[str, str]
+REPORT = 220
+"""Bytes of a message of `collision/report`."""
 
 
 class Plan(list[Row]):
@@ -95,9 +100,23 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
     rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
     rows += [("chosen", loaded.why)] if loaded.why else []
-    kept = sum(array.nbytes for array in simulation.whole()[0].values())
-    size = 12 * loaded.scene.frames * simulation.fabric.number + simulation.checkpoints * kept
-    return rows + simulation.describe_cost(seconds, size, cloth.estimate_memory(loaded)[1])
+    return rows + simulation.describe_cost(seconds, _recorded_size(simulation), cloth.estimate_memory(loaded)[1])
+
+
+def _recorded_size(simulation: Simulation) -> int:
+    """Return the expected size of a recording's messages [bytes], with contact forces as of the present frame."""
+    from nuno.simulation.service import describe_fabric, feel
+
+    loaded, geometry, poses = simulation.loaded, simulation.geometry, simulation.poses
+    once = [encode_arrays(*describe_fabric(simulation)), *([] if geometry is None else [encode_geometry(geometry)])]
+    each = [simulation.encode()]
+    if geometry is not None and poses is not None:
+        each += [encode_poses(poses, simulation.frame), bytes(REPORT)]
+        if loaded.scene.record.contact_forces:
+            contact, touches = feel(simulation)
+            each += [contact.model_dump_json().encode(), encode_arrays(touches, {"bodies": list(geometry.bodies)})]
+    kept = simulation.checkpoints * sum(array.nbytes for array in simulation.whole()[0].values())
+    return kept + sum(map(len, once)) + loaded.scene.frames * sum(len(payload) + MESSAGE for payload in each)
 
 
 def _texture(simulation: Simulation) -> list[tuple[str, str]]:

@@ -21,6 +21,7 @@ from nuno.formatting import factor, megabytes, roughly
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import CHANGES, Recording, control_events, describe_changes, open_recording
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint, Recorded
+from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
@@ -46,6 +47,10 @@ GROWN, FEW = 4, 1000
 """Factor and surplus by which a scene's vertices may exceed the recorded ones: models count roughly."""
 FINEST = 1000
 """Most steps in place of one after changes during a run."""
+
+
+FILE, STATUS, MESSAGE = 16_000, 530, 50
+"""Bytes of a file beside its messages, of a frame's status with its message, and of a message beside its payload."""
 
 
 class Stepper(ABC):
@@ -194,8 +199,11 @@ class Stepper(ABC):
         return f"{solver}, dt {self.dt * 1e3:.4g} ms, {self.steps} steps a frame; {most}"
 
     def describe_cost(self, seconds: float, size: int, memory: int, more: str = "") -> list[tuple[str, str]]:
-        """Return rows with a run's cost, from a frame's time [s], recorded bytes and memory, for `nuno plan`."""
+        """Return rows with a run's cost, from a frame's time [s], recorded bytes of the cloth's or dye's arrays, and
+        memory, for `nuno plan`.
+        """
         scene = self.loaded.scene
+        size += FILE + scene.frames * STATUS + sum(file.stat().st_size for file in assets(self.loaded).values())
         rate = factor(1 / scene.frame_rate / seconds)
         return [
             ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),

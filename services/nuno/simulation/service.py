@@ -243,7 +243,7 @@ class ClothDriver(Driver):
 
     def publish_fabric(self, frame: int) -> None:
         """Publish the cloth's constant data for viewers and recordings, valid from `frame` on."""
-        arrays, text = self.describe_fabric()
+        arrays, text = describe_fabric(self.simulation)
         if frame == 0 and (rested := self.simulation.rested):
             parts = [piece.start for piece in rested], [piece.x for piece in rested]
             arrays |= dict(zip(SETTLED, map(np.concatenate, parts), strict=True))
@@ -251,32 +251,9 @@ class ClothDriver(Driver):
 
     def encode_now(self) -> bytes:
         """Return the content of `sim/fabric`, with x (n, 3) [m], frame and t [s]."""
-        arrays, text = self.describe_fabric()
+        arrays, text = describe_fabric(self.simulation)
         simulation = self.simulation
         return encode_arrays(arrays | {"x": simulation.state.x}, text | {"frame": simulation.frame, "t": simulation.t})
-
-    def describe_fabric(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return arrays and text of `sim/fabric`."""
-        fabric = self.simulation.fabric
-        arrays = _constant_arrays(fabric)
-        if fabric.uv is not None:
-            arrays["uv"] = fabric.uv
-        if (corners := fabric.corners) is not None:
-            arrays |= {"corner_uv": corners.points, "corner_vertex": corners.vertex, "corner_faces": corners.faces}
-        panels = None if corners is None else corners.panels
-        if panels is not None:
-            arrays |= {"panel_of": panels.of, "panel_edge": panels.edge, "panel_unit": panels.unit}
-            arrays |= {"panel_pairs": panels.pairs, "panel_seam": panels.seam}
-        yarns = edge_yarns(fabric)
-        if yarns is not None:
-            arrays |= {"edge_yarn": yarns} | tension_arrays(fabric)
-        text = {
-            "vertices": fabric.number,
-            "scene": self.scene.name,
-            "objects": [vars(piece) for piece in self.simulation.pieces],
-            "panels": [] if panels is None else list(panels.names),
-        }
-        return arrays, text
 
     def pressure(self) -> dict[str, float]:
         """Return the pressure of the cloth on its bodies at the end [Pa]; empty where it cannot be computed."""
@@ -317,6 +294,30 @@ class ClothDriver(Driver):
             "triangles of a membrane": fabric.membrane.number if fabric.membrane else 0,
             "hinges": fabric.hinges.number if fabric.hinges else 0,
         }
+
+
+def describe_fabric(simulation: Simulation) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return arrays and text of `sim/fabric`."""
+    fabric = simulation.fabric
+    arrays = _constant_arrays(fabric)
+    if fabric.uv is not None:
+        arrays["uv"] = fabric.uv
+    if (corners := fabric.corners) is not None:
+        arrays |= {"corner_uv": corners.points, "corner_vertex": corners.vertex, "corner_faces": corners.faces}
+    panels = None if corners is None else corners.panels
+    if panels is not None:
+        arrays |= {"panel_of": panels.of, "panel_edge": panels.edge, "panel_unit": panels.unit}
+        arrays |= {"panel_pairs": panels.pairs, "panel_seam": panels.seam}
+    yarns = edge_yarns(fabric)
+    if yarns is not None:
+        arrays |= {"edge_yarn": yarns} | tension_arrays(fabric)
+    text = {
+        "vertices": fabric.number,
+        "scene": simulation.loaded.scene.name,
+        "objects": [vars(piece) for piece in simulation.pieces],
+        "panels": [] if panels is None else list(panels.names),
+    }
+    return arrays, text
 
 
 def _constant_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:

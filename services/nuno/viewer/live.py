@@ -99,7 +99,7 @@ class LiveView:
         view: str,
         run: str,
         scene_view: View,
-        announce: Callable[[str, str], None],
+        announce: Callable[[str, str], object],
         scene: str = "",
         leader: str = STATE.name,
     ) -> None:
