@@ -110,6 +110,10 @@ class Penetration(Described):
     """Vertices inside a body."""
     mean: float
     """Mean depth of those inside [m]."""
+    area: float = 0.0
+    """Area of cloth inside bodies [m^2], by points on every triangle, also between vertices."""
+    area_depth: float = 0.0
+    """Largest depth of these points [m]."""
     seconds: float
     """Wall time of the check [s]."""
     crossings: int | None = None

@@ -6,7 +6,7 @@ import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
 from nuno.collision.bodies import surface
-from nuno_contact.penalty.contact import pose_bodies
+from nuno_contact.penalty.contact import STRETCHED, pose_bodies, triangle_spread
 from nuno_contact.penalty.distance import Bodies, primitive_distance
 from nuno_schemas.bodies import rotation_matrices
 
@@ -30,7 +30,7 @@ def posed(shape):
 
 def measure(contact, points):
     bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
-    return np.array([primitive_distance(tuple(p), 0, 0, bodies, None) for p in points])
+    return np.array([primitive_distance(tuple(p), 0.0, 0, 0, bodies, None) for p in points])
 
 
 def cloud(number=300, seed=1):
@@ -125,3 +125,36 @@ def test_surface_vertices_lie_on_their_primitives_and_close():
         contact = contact_for(geometry(SHAPES[name]), np.ones(1), 1.0)
         pose_bodies(0.0, contact)
         np.testing.assert_allclose(measure(contact, part)[:, 0], 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("shape", list(SHAPES))
+def test_no_triangle_enters_whose_corners_keep_their_margin(shape: str) -> None:
+    """Triangles at random, moved away from a body's middle until each corner is at its margin."""
+    rng, part = np.random.default_rng(4), SHAPES[shape]
+    triangles = 0.2 * rng.standard_normal((300, 3, 3))
+    spread = triangle_spread(triangles.reshape(-1, 3), np.arange(900).reshape(-1, 3)) / STRETCHED**2
+    contact = contact_for(geometry(part), np.ones(900), 1.0)._replace(spread=spread[None])
+    pose_bodies(0.0, contact)
+    bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
+    middle = np.asarray(part[3]) if shape == "box" else 0.5 * (np.asarray(part[3]) + part[4])
+    inside = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12.0
+
+    def least(points: np.ndarray, spread: float) -> float:
+        return min(primitive_distance(tuple(p), spread, 0, 0, bodies, None)[0] for p in points)
+
+    for triangle, own in zip(triangles, spread[::3], strict=True):
+        way, low, high = rng.standard_normal(3), 0.0, 3.0
+        start, way = triangle - triangle.mean(axis=0) + middle, way / np.linalg.norm(way)
+        while high - low > 1e-9:
+            off = 0.5 * (low + high)
+            low, high = (low, off) if least(start + off * way, own) >= 0.0 else (off, high)
+        assert least(inside @ (start + high * way), 0.0) >= -1e-9
+
+
+def test_a_triangle_of_equal_sides_at_its_margin_touches_a_ball_in_its_middle() -> None:
+    turn = 2.0 * np.pi * np.arange(3) / 3.0
+    corners = 0.15 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(3)])
+    spread = float(triangle_spread(corners, np.array([[0, 1, 2]]))[0]) / STRETCHED**2
+    margin = np.sqrt(0.4**2 + spread) - 0.4
+    corners[:, 2] = np.sqrt((0.4 + margin) ** 2 - 0.15**2)
+    assert np.linalg.norm(corners.mean(axis=0)) == pytest.approx(0.4, abs=1e-12)

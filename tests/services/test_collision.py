@@ -14,7 +14,7 @@ import trimesh
 from persons import skinned
 
 from nuno.collision import distance as mesh_module
-from nuno.collision.distance import distances, make_columns, penetration, signed_distance
+from nuno.collision.distance import area_inside, distances, make_columns, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.plugin_contract.guards import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, Skin, rotation_matrices
@@ -98,6 +98,48 @@ def test_points_that_are_not_finite_are_outside() -> None:
     depth = penetration(points, bodies((BOX, CENTRE, HALF, 0.0)), posed())
     np.testing.assert_allclose(depth, [0.0, 0.0, HALF.min()])
     assert not penetration(points[:2], bodies((BOX, CENTRE, HALF, 0.0)), posed()).any()
+
+
+def square(size: float, cells: int, z: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a square sheet at a height."""
+    side = np.linspace(-0.5 * size, 0.5 * size, cells + 1)
+    across, along = (part.reshape(-1) for part in np.meshgrid(side, side, indexing="ij"))
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1, 1)
+    faces = np.concatenate([corner + [0, cells + 1, 1], corner + [1, cells + 1, cells + 2]])
+    return np.stack([across, along, np.full(len(across), z)], axis=1), faces.astype(np.int32)
+
+
+@pytest.mark.parametrize("cells", [3, 40])
+def test_cloth_in_a_body_has_the_area_of_their_section(cells: int) -> None:
+    """A disc of a ball, also where all vertices are outside of it; a half of a plane's; a strip of a limb's."""
+    still = posed(np.array([1.0, 0, 0, 0]), np.zeros(3))
+    x, faces = square(1.0, cells, 0.08)
+    ball = bodies((CAPSULE, np.zeros(3), np.zeros(3), 0.1))
+    area, depth = area_inside(x, faces, ball, still)
+    vertices = penetration(x, ball, still).max()
+    if cells == 3:
+        assert vertices == 0.0 and depth == pytest.approx(0.02, abs=1e-12) and area > 0.0
+    else:
+        assert area == pytest.approx(np.pi * (0.1**2 - 0.08**2), rel=0.05) and vertices <= depth <= 0.02 + 1e-12
+    limb = bodies((CAPSULE, np.array([0, -1.0, 0]), np.array([0, 1.0, 0]), 0.1))
+    if cells == 40:
+        half = bodies((PLANE, np.array([0.003, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.0))
+        assert area_inside(x, faces, half, still)[0] == pytest.approx(0.503, rel=0.01)
+        assert area_inside(x, faces, limb, still)[0] == pytest.approx(2.0 * 0.06, rel=0.05)
+    assert area_inside(x + np.array([0, 0, 0.021]), faces, limb, still) == (0.0, 0.0)
+
+
+def test_cloth_in_a_mesh_is_that_in_its_ball() -> None:
+    still, (x, faces) = posed(np.array([1.0, 0, 0, 0]), np.zeros(3)), square(0.4, 40, 0.03)
+    ball = trimesh.creation.icosphere(5, 0.1)
+    corner, number = np.full(3, 0.1), np.zeros(len(ball.faces), np.int32)
+    mesh = replace(
+        bodies((MESH, -corner, corner, 0.0)),
+        vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32), owner=number,
+    )  # fmt: skip
+    exact = bodies((CAPSULE, np.zeros(3), np.zeros(3), 0.1))
+    (area, depth), (own, deep) = (area_inside(x, faces, body, still) for body in (mesh, exact))
+    assert area == pytest.approx(own, rel=0.01) and depth == pytest.approx(deep, abs=1e-4)
 
 
 def test_bodies_cross_the_bus_unchanged() -> None:

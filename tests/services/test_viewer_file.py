@@ -19,7 +19,7 @@ import nuno
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
 from nuno.cli import main
 from nuno.collision.bodies import surface, vertex_normals
-from nuno.exports.cloth import INSET, ShownPiece, paint_yarns
+from nuno.exports.cloth import ShownPiece, paint_yarns
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file
 from nuno.simulation import cloth as build
@@ -92,7 +92,7 @@ def test_bodies_stand_where_the_poses_put_them(saved: Path) -> None:
         a, b = (rotation_matrices(pose.rotation)[1] @ end[1] + pose.translation[1] for end in (geometry.a, geometry.b))
         along = np.clip((world - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
         distance = np.linalg.norm(world - a - along[:, None] * (b - a), axis=1)
-        assert np.abs(distance - (geometry.radius[1] - INSET)).max() < 1e-6
+        assert np.abs(distance - geometry.radius[1]).max() < 1e-6
 
 
 def test_a_body_that_rests_is_placed_once(saved: Path) -> None:

@@ -14,7 +14,7 @@ from nuno.collision.bodies import surface
 from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import penetration
 from nuno.exports.camera import place_camera, z_up
-from nuno.exports.cloth import BODY, INSET, STRETCH, ShownPiece, paint_stretch
+from nuno.exports.cloth import BODY, STRETCH, ShownPiece, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
@@ -338,7 +338,7 @@ def draw_ends(skirt: Skirt, ends: Mapping[str, Float]) -> Pictures:
     renderer = registry.load("nuno.renderers", RENDERER)
     pairs = skirt.pairs.astype(np.int32)
     piece = ShownPiece("skirt", 0, len(skirt.mass), skirt.faces, pairs, skirt.rest, None, None, None)
-    shape = surface(skirt.geometry, INSET)
+    shape = surface(skirt.geometry)
     points = shape.at(skirt.poses[-1])
     body = _up(Mesh(points, shape.faces, np.tile(parse_hex(BODY), (len(points), 1)), two_sided=False))
     cloths = {name: _up(Mesh(x, piece.faces, paint_stretch(piece.stretch(x)))) for name, x in ends.items()}

@@ -77,26 +77,28 @@ def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
 
 
 @kernel
-def pose_primitive(p: int, kind: int, f: int, a: Float, b: Float, radius: Float, frames: Float, posed: Float) -> None:
+def pose_primitive(p: int, f: int, contact: Contact) -> None:
     """Fill row p of `posed` (see nuno_contact.penalty.distance) from the primitive in its frame."""
-    square = 0.0
+    kind, a, b, radius, margin = contact.kind[p], contact.a, contact.b, contact.radius, contact.largest_margin[p]
+    frames, posed, square = contact.frames, contact.posed, 0.0
     for c in range(3):
         m0, m1, m2 = frames[f, 3 * c], frames[f, 3 * c + 1], frames[f, 3 * c + 2]
         start = frames[f, 9 + c] + m0 * a[p, 0] + m1 * a[p, 1] + m2 * a[p, 2]
         if kind == CAPSULE:
             along = m0 * (b[p, 0] - a[p, 0]) + m1 * (b[p, 1] - a[p, 1]) + m2 * (b[p, 2] - a[p, 2])
             square += along * along
-            low, high = min(start, start + along) - radius[p], max(start, start + along) + radius[p]
+            reach = radius[p] + margin
+            low, high = min(start, start + along) - reach, max(start, start + along) + reach
         elif kind in (BOX, FIELD):
             along = b[p, c]
-            size = abs(m0) * b[p, 0] + abs(m1) * b[p, 1] + abs(m2) * b[p, 2]
+            size = abs(m0) * (b[p, 0] + margin) + abs(m1) * (b[p, 1] + margin) + abs(m2) * (b[p, 2] + margin)
             low, high = start - size, start + size
         else:
             along = m0 * b[p, 0] + m1 * b[p, 1] + m2 * b[p, 2]
             low, high = -math.inf, math.inf
         posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
     posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
-    posed[p, 7] = radius[p]
+    posed[p, 7], posed[p, 14], posed[p, 15] = radius[p], contact.curvature_radius[p], contact.margin[p]
 
 
 @block_kernel
@@ -111,8 +113,7 @@ def pose_bodies(s: float, contact: Contact) -> None:
     for f in range(contact.frames.shape[0]):
         pose_frame(s, f, contact.rotation0, contact.origin0, contact.spin, contact.shift, contact.frames)
     for p in range(contact.posed.shape[0]):
-        f = contact.frame[p]
-        pose_primitive(p, contact.kind[p], f, contact.a, contact.b, contact.radius, contact.frames, contact.posed)
+        pose_primitive(p, contact.frame[p], contact)
 
 
 # Contact of a vertex with a body: the deepest primitive, forces, anchors.
@@ -133,6 +134,8 @@ class BodyContact(NamedTuple):
     anchor: Float
     """(3, n)"""
     anchor_frame: Int
+    spread: Float
+    """(1, n) see Contact"""
 
 
 class Response(NamedTuple):
@@ -156,7 +159,7 @@ def body_contact(contact: Contact, body: int, rate: float) -> BodyContact:
     """Return the contact data of one body, dashpots bounded by `rate` [1/s] (see Contact.rate)."""
     return BodyContact(
         contact.stiffness[body], contact.damping[body], contact.friction[body], rate, contact.deepest[body],
-        contact.anchor[body], contact.anchor_frame[body],
+        contact.anchor[body], contact.anchor_frame[body], contact.spread,
     )  # fmt: skip
 
 
@@ -174,6 +177,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
     A block that stays out of reach is not written again.
     """
     kind, posed, frames, bounds, near = contact.kind, contact.posed, contact.frames, contact.bounds, contact.near
+    spread = contact.spread
     deepest = Deepest(contact.distance, contact.deepest[body])
     was_near = near[body, block]
     near[body, block] = False
@@ -185,13 +189,13 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
             for i in range(np.uint64(low), np.uint64(high)):
                 deepest.distance[i], deepest.primitive[i] = 0.0, -1
         if kind[p] == CAPSULE:
-            lower_capsule(x, low, high, posed, p, deepest)
+            lower_capsule(x, spread, low, high, posed, p, deepest)
         elif kind[p] == BOX:
-            lower_box(x, low, high, posed, p, frames, contact.frame[p], deepest)
+            lower_box(x, spread, low, high, posed, p, frames, contact.frame[p], deepest)
         elif kind[p] != FIELD:
             lower_plane(x, low, high, posed, p, deepest)
         elif fields is not None:
-            lower_field(x, low, high, posed, p, frames, contact.frame[p], fields, deepest)
+            lower_field(x, spread, low, high, posed, p, frames, contact.frame[p], fields, deepest)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
             deepest.primitive[i] = -1
@@ -207,7 +211,7 @@ def respond(x: Float, v: Float, i: Index, touch: BodyContact, bodies: Bodies, fi
     p = np.uint64(touch.deepest[i])
     f, frames = np.uint64(bodies.frame[p]), bodies.frames
     px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, mark = primitive_distance((px, py, pz), p, f, bodies, fields)
+    distance, nx, ny, nz, mark = primitive_distance((px, py, pz), touch.spread[0, i], p, f, bodies, fields)
     rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
     ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
     uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
@@ -330,6 +334,14 @@ class Contact(NamedTuple):
     """(p, 3), b (p, 3) and radius (p,) [m] in the frame, as in Geometry"""
     b: Float
     radius: Float
+    curvature_radius: Float
+    """(p,) least radius of curvature of a distance field [m], 0 for others"""
+    margin: Float
+    """(p,) distance from the surface at which all vertices are kept [m]"""
+    largest_margin: Float
+    """(p,) largest margin of a vertex [m]"""
+    spread: Float
+    """(1, n) S = L^2 / 3 [m^2] of each vertex, L the longest side of its triangles: sets its margin; 0 without any"""
     stiffness: Float
     """(b, n) k of each vertex on each body [N/m]"""
     damping: Float
@@ -355,7 +367,7 @@ class Contact(NamedTuple):
     frames: Float
     """(f, 18) frames posed, and their velocities; see nuno_contact.penalty.distance"""
     posed: Float
-    """(p, 14) primitives posed"""
+    """(p, 16) primitives posed"""
     posed_at: Float
     """(1,) fraction of the interval at which frames and primitives are posed, NaN where they are not"""
     distance: Float
@@ -451,12 +463,14 @@ register(
 )
 
 
-def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contact:
+def make_contact(
+    geometry: Geometry, stiffness: Float, damping: Float, spread: Float | None = None, margin: float = 0.0
+) -> Contact:
     """Return a contact with bodies at rest, without anchors, for n vertices.
 
     `stiffness` (b, n) [N/m] and `damping` (b, n) [N s/m] are those of each vertex on each body;
-    the geometry's own are not looked at. Primitives are put in the order of their bodies,
-    otherwise in the order given.
+    the geometry's own are not looked at. `spread` (n,) [m^2] sets the margins of vertices, and `margin` [m] is one for
+    all. Primitives are put in the order of their bodies, otherwise in the order given.
     """
     g = geometry
     order = np.argsort(g.body, kind="stable")
@@ -469,6 +483,12 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
     # A field's surface may lie outside of its mesh by the tolerance.
     radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
     fields = [field for field in g.fields if field is not None]
+    spread = np.zeros(n) if spread is None else spread
+    curved = np.array([least_radius(*g.mesh(p)) if g.kind[p] == FIELD else 0.0 for p in order.tolist()])
+    round_radius = np.where(kind == CAPSULE, radius, curved)
+    widest = np.where(kind == BOX, np.sqrt(0.5 * spread.max(initial=0.0)), 0.0)
+    round_kind = (kind == CAPSULE) | of_field
+    widest[round_kind] = (np.sqrt(round_radius**2 + spread.max(initial=0.0)) - round_radius)[round_kind]
     for p in np.flatnonzero(of_field).tolist():
         b[p] += fields[int(radius[p])].tolerance
 
@@ -482,6 +502,10 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         a=floats(a),
         b=floats(b),
         radius=floats(radius),
+        curvature_radius=curved,
+        margin=np.full(len(kind), margin),
+        largest_margin=margin + widest,
+        spread=floats(spread[None]),
         stiffness=floats(stiffness),
         damping=floats(damping),
         friction=floats(g.friction),
@@ -493,7 +517,7 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         anchor=np.zeros((bodies, 3, n)),
         anchor_frame=np.full((bodies, n), -1, np.int32),
         frames=np.zeros((frames, 18)),
-        posed=np.zeros((order.shape[0], 14)),
+        posed=np.zeros((order.shape[0], 16)),
         posed_at=np.full(1, np.nan),
         distance=np.zeros(n),
         deepest=np.full((bodies, n), -1, np.int64),
@@ -502,6 +526,40 @@ def make_contact(geometry: Geometry, stiffness: Float, damping: Float) -> Contac
         tally=np.zeros((blocks, 2), np.int64),
         fields=pack_fields(fields) if of_field.any() else None,
     )
+
+
+STRETCHED = 1.05
+"""Length of a triangle's side in motion over that at the start, which a margin allows for."""
+
+
+def triangle_spread(x: Float, faces: Int) -> Float:
+    """Return a third of the square of the longest side of each vertex's triangles, stretched (n,) [m^2], 0 without any;
+    x (n, 3) [m], faces (f, 3).
+    """
+    corners, spread = x[faces], np.zeros(len(x))
+    square = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1, initial=0.0)
+    np.maximum.at(spread, faces.reshape(-1), np.repeat(STRETCHED**2 * square / 3.0, 3))
+    return spread
+
+
+def least_radius(x: Float, faces: Int) -> float:
+    """Return the radius of curvature [m] that nine tenths of a closed mesh's convex edges have at least, by length: the
+    distance between the middles of an edge's triangles over the angle between them. x (n, 3) [m], faces (f, 3).
+    """
+    corners = x[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), SHORTEST)
+    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    order = np.lexsort(np.sort(ends, axis=1).T)
+    pairs = order[: len(order) // 2 * 2].reshape(-1, 2)
+    one, other = (pairs // 3).T
+    apart = corners[other].mean(axis=1) - corners[one].mean(axis=1)
+    bend = np.einsum("ei,ei->e", normal[other] - normal[one], apart)
+    length = np.linalg.norm(x[ends[pairs[:, 0], 0]] - x[ends[pairs[:, 0], 1]], axis=1) * (bend > 0.0)
+    radius = np.einsum("ei,ei->e", apart, apart) / np.maximum(bend, SHORTEST)
+    ascending = np.argsort(radius)
+    share = np.cumsum(length[ascending])
+    return float(radius[ascending][np.searchsorted(share, 0.1 * share[-1])]) if share[-1:].any() else 0.0
 
 
 def pack_fields(fields: Sequence[DistanceField]) -> Fields:

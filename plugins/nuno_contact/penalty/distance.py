@@ -23,13 +23,26 @@ from nuno_schemas.fabric import Float, Int
 # is measured in its own axes: q = |local| - half extents, distance |max(q, 0)| outside and max(q)
 # inside, where the nearest face gives the normal.
 #
-# `posed` (p, 14) holds one primitive a row, in world coordinates:
+# Contact keeps a vertex off by a margin, for triangles between vertices cut through what is round. Let a point q of a
+# triangle, sum_i b_i x_i, be inside a capsule of radius r, and a the nearest point of its axis. Then
+#
+#     |q - a|^2 = sum_i b_i |x_i - a|^2 - sum_i b_i |x_i - q|^2,
+#
+# and the last sum is at most S = L^2 / 3 for sides of at most L. So no triangle enters whose corners are all at least
+# sqrt(r^2 + S) from the axis. The same holds of any body that is a union of balls of radius r, as a mesh of curvatures
+# of at most 1 / r: sqrt(r^2 + S) - r. At an edge of a box corners outside of one of its planes by m have
+# sum_i b_i x_i^2 >= m^2 w / (1 - w), w the weight of those outside of it, and likewise for the other plane: at least
+# 2 m^2 together, so m = sqrt(S / 2). A plane needs none.
+#
+# `posed` (p, 16) holds one primitive a row, in world coordinates:
 #
 #     0:3   capsule end a, plane point, or centre of a box or field [m]
 #     3:6   capsule b - a, plane normal (unit), or half extents of a box or field in the axes of its frame
 #     6     1 / |b - a|^2, 0 for a sphere, plane or box
 #     7     radius [m]; of a distance field, its number
-#     8:14  lowest and highest corner of its bounds, infinite for a plane
+#     8:14  lowest and highest corner of its bounds, infinite for a plane; with the largest margin
+#     14    least radius of curvature r of a field [m]
+#     15    a margin that is the same for all vertices [m]
 #
 # `frames` (f, 18) holds one frame a row: 0:9 rotation matrix by rows, 9:12 origin, 12:15 velocity
 # of the origin [m/s], 15:18 angular velocity [rad/s].
@@ -83,8 +96,9 @@ def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
 
 
 @forced_inline
-def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) -> Reading:
+def capsule_distance(px: float, py: float, pz: float, spread: float, posed: Float, p: Index) -> Reading:
     """Return (distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
+    reach = posed[p, 15] + math.sqrt(posed[p, 7] * posed[p, 7] + spread)
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
     ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
     s = min(max((ex * dx + ey * dy + ez * dz) * posed[p, 6], 0.0), 1.0)
@@ -92,16 +106,17 @@ def capsule_distance(px: float, py: float, pz: float, posed: Float, p: Index) ->
     away = math.sqrt(ex * ex + ey * ey + ez * ez)
     if away <= ON_AXIS * posed[p, 7]:
         nx, ny, nz = across(dx, dy, dz)
-        return away - posed[p, 7], nx, ny, nz, 1
+        return away - reach, nx, ny, nz, 1
     unit = 1.0 / away
-    return away - posed[p, 7], ex * unit, ey * unit, ez * unit, 0
+    return away - reach, ex * unit, ey * unit, ez * unit, 0
 
 
 @forced_inline
-def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
+def box_distance(at: Vector, spread: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """Return (distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
-    lx, ly, lz = turn_in((px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]), frames, f)
-    qx, qy, qz = abs(lx) - posed[p, 3], abs(ly) - posed[p, 4], abs(lz) - posed[p, 5]
+    lx, ly, lz = turn_in((at[0] - posed[p, 0], at[1] - posed[p, 1], at[2] - posed[p, 2]), frames, f)
+    margin = posed[p, 15] + math.sqrt(0.5 * spread)
+    qx, qy, qz = abs(lx) - posed[p, 3] - margin, abs(ly) - posed[p, 4] - margin, abs(lz) - posed[p, 5] - margin
     distance = max(qx, qy, qz)
     nx, ny, nz = 0.0, 0.0, 0.0
     if distance > 0.0:
@@ -119,29 +134,31 @@ def box_distance(px: float, py: float, pz: float, posed: Float, p: Index, frames
 
 
 @kernel
-def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
+def lower_capsule(x: Float, spread: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to capsule p, if they are less.
 
     Most vertices near a capsule are outside of it: eight at a time are looked at without a root,
-    against the squared radius and 16 ulp, more than the rounding of the root and of r^2. Only
+    against the squared reach and 16 ulp, more than the rounding of the root and of r^2. Only
     where one of them may be inside are the distances taken.
     """
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
-    inverse, radius = posed[p, 6], posed[p, 7]
-    limit = (1.0 + 16.0 * EPSILON) * radius * radius
+    inverse, square, margin = posed[p, 6], posed[p, 7] * posed[p, 7], posed[p, 15]
+    # (m + sqrt(r^2 + S))^2 <= (r + m)^2 + S (1 + m / r), since sqrt(r^2 + S) <= r + S / 2 r.
+    share = (1.0 + 16.0 * EPSILON) * (1.0 + margin / posed[p, 7])
+    limit = (1.0 + 16.0 * EPSILON) * (posed[p, 7] + margin) * (posed[p, 7] + margin)
     zero, one, distance, primitive = splat(0.0), splat(1.0), deepest.distance, deepest.primitive
     for q in range(low, high, WIDTH):
         m = min(WIDTH, high - q)
         vx, vy, vz = read(x, 0, q, m) - ax, read(x, 1, q, m) - ay, read(x, 2, q, m) - az
         part = lower(higher((vx * dx + vy * dy + vz * dz) * inverse, zero), one)
         vx, vy, vz = vx - part * dx, vy - part * dy, vz - part * dz
-        if any_below(vx * vx + vy * vy + vz * vz, limit):
+        if any_below(vx * vx + vy * vy + vz * vz - read(spread, 0, q, m) * share, limit):
             for i in range(np.uint64(q), np.uint64(q + m)):
                 ex, ey, ez = x[0, i] - ax, x[1, i] - ay, x[2, i] - az
                 s = min(max((ex * dx + ey * dy + ez * dz) * inverse, 0.0), 1.0)
                 ex, ey, ez = ex - s * dx, ey - s * dy, ez - s * dz
-                d = math.sqrt(ex * ex + ey * ey + ez * ez) - radius
+                d = math.sqrt(ex * ex + ey * ey + ez * ez) - (margin + math.sqrt(square + spread[0, i]))
                 least, which = distance[i], primitive[i]
                 distance[i] = min(least, d)
                 primitive[i] = p if d < least else which
@@ -150,22 +167,24 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
 @kernel
 def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to plane p, if they are less."""
-    distance, primitive = deepest.distance, deepest.primitive
+    distance, primitive, margin = deepest.distance, deepest.primitive, posed[p, 15]
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
     for i in range(np.uint64(low), np.uint64(high)):
-        d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz
+        d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz - margin
         least, which = distance[i], primitive[i]
         distance[i] = min(least, d)
         primitive[i] = p if d < least else which
 
 
 @kernel
-def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest) -> None:
+def lower_box(
+    x: Float, spread: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest
+) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, if they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
-        d = box_distance(x[0, i], x[1, i], x[2, i], posed, p, frames, f)[0]
+        d = box_distance((x[0, i], x[1, i], x[2, i]), spread[0, i], posed, p, frames, f)[0]
         if d < distance[i]:
             distance[i] = d
             primitive[i] = p
@@ -204,7 +223,7 @@ def are_apart(kind: int, posed: Float, p: int, bounds: Float, block: int) -> boo
             corner = bounds[block, c] if posed[p, 3 + c] > 0.0 else bounds[block, 3 + c]
             lowest += (corner - posed[p, c]) * posed[p, 3 + c]
             size += abs(corner) + abs(posed[p, c])
-        return lowest > SLACK * size
+        return bool(lowest - posed[p, 15] > SLACK * size)
     for c in range(3):
         low, high, reach0, reach1 = bounds[block, c], bounds[block, 3 + c], posed[p, 8 + c], posed[p, 11 + c]
         slack = SLACK * (abs(low) + abs(high) + abs(reach0) + abs(reach1))
@@ -230,10 +249,19 @@ class Bodies(NamedTuple):
 
 
 @forced_inline
-def field_reading(at: Vector, number: int, frames: Float, f: Index, fields: Fields) -> Reading:
+def field_margin(spread: float, posed: Float, p: Index) -> float:
+    """Return the margin of a vertex from field p [m]."""
+    return float(posed[p, 15] + math.sqrt(posed[p, 14] * posed[p, 14] + spread) - posed[p, 14])
+
+
+@forced_inline
+def field_reading(
+    at: Vector, spread: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
+) -> Reading:
     """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
-    distance, gx, gy, gz = sample(x, y, z, number, fields)
+    distance, gx, gy, gz = sample(x, y, z, int(posed[p, 7]), fields)
+    distance -= field_margin(spread, posed, p)
     size = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not size > 0.0:
         nx, ny, nz = across(gx, gy, gz)
@@ -243,23 +271,34 @@ def field_reading(at: Vector, number: int, frames: Float, f: Index, fields: Fiel
 
 
 @forced_inline
-def primitive_distance(at: Vector, p: Index, f: Index, bodies: Bodies, fields: Fields | None) -> Reading:
-    """Return (distance, normal x, y, z, 1 if it has no normal else 0) of any posed primitive p, in frame f."""
+def primitive_distance(at: Vector, spread: float, p: Index, f: Index, bodies: Bodies, fields: Fields | None) -> Reading:
+    """Return (distance, normal x, y, z, 1 if it has no normal else 0) of any posed primitive p, in frame f, for a
+    vertex of triangles of `spread` [m^2].
+    """
     kind, posed = bodies.kind[p], bodies.posed
     if kind == CAPSULE:
-        return capsule_distance(at[0], at[1], at[2], posed, p)
+        return capsule_distance(at[0], at[1], at[2], spread, posed, p)
     if kind == BOX:
-        return box_distance(at[0], at[1], at[2], posed, p, bodies.frames, f)
+        return box_distance(at, spread, posed, p, bodies.frames, f)
     if fields is not None and kind == FIELD:
-        return field_reading(at, int(posed[p, 7]), bodies.frames, f, fields)
+        return field_reading(at, spread, posed, p, bodies.frames, f, fields)
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
-    distance = (at[0] - posed[p, 0]) * nx + (at[1] - posed[p, 1]) * ny + (at[2] - posed[p, 2]) * nz
+    distance = (at[0] - posed[p, 0]) * nx + (at[1] - posed[p, 1]) * ny + (at[2] - posed[p, 2]) * nz - posed[p, 15]
     return distance, nx, ny, nz, 0
 
 
 @kernel
 def lower_field(
-    x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, fields: Fields, deepest: Deepest
+    x: Float,
+    spread: Float,
+    low: int,
+    high: int,
+    posed: Float,
+    p: int,
+    frames: Float,
+    f: int,
+    fields: Fields,
+    deepest: Deepest,
 ) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) that are in the bounds of field p to those to it."""
     number, distance, primitive = int(posed[p, 7]), deepest.distance, deepest.primitive
@@ -268,7 +307,7 @@ def lower_field(
         within = posed[p, 8] <= px <= posed[p, 11] and posed[p, 9] <= py <= posed[p, 12]
         if within and posed[p, 10] <= pz <= posed[p, 13]:
             u, v, w = to_frame(px, py, pz, frames, f)
-            d = sample_distance(u, v, w, number, fields)
+            d = sample_distance(u, v, w, number, fields) - field_margin(spread[0, i], posed, p)
             if d < distance[i]:
                 distance[i] = d
                 primitive[i] = p

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Literal, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
-from nuno_contact.penalty.contact import make_contact
+from nuno_contact.penalty.contact import make_contact, triangle_spread
+from nuno_contact.quantities import Reach
 from nuno_contact.reaction import elastic_stiffness
-from nuno_schemas.bodies import MESH, SKIN, Geometry
+from nuno_schemas.bodies import CAPSULE, MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
@@ -22,12 +23,20 @@ REST_DEPTH = 5e-4
 STOP_SPEED, STOP_DEPTH = 1.0, 1e-3
 """A vertex that arrives at this speed [m/s] is stopped within about this depth [m], if its stiffness is no more than
 SHARE allows."""
+GAP = 2.5e-3
+"""Margin of triangles on any body, also a plane [m]: more than a vertex that arrives at 2.5 m/s or rests sinks."""
 SHARE = 0.25
 """share of the stiffness of the vertex's springs together that the stiffness to stop it has at most"""
 
 
 class PenaltyConfig(Config):
-    """No configuration: stiffness, damping and friction belong to each body of the scene."""
+    """The margin; stiffness, damping and friction belong to each body of the scene."""
+
+    margin: Reach | Literal["auto"] = Field(
+        default="auto",
+        description="distance from the surface at which vertices are kept [m]; auto: as much as the triangles of each "
+        "vertex, which cut through round bodies, and the body's curvature need",
+    )
 
 
 def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
@@ -83,6 +92,16 @@ def check(geometry: Geometry) -> None:
                 raise BadInput(f"contact {name} must not be negative", field=body, value=value, limit=">= 0")
 
 
+def check_margin(margin: float, geometry: Geometry) -> None:
+    """Raise BadInput for a margin as thick as a limb: cloth would stand off like a hoop."""
+    limbs = np.where(geometry.kind == CAPSULE, geometry.radius, np.inf)
+    if margin >= limbs.min(initial=np.inf):
+        body = geometry.bodies[geometry.body[limbs.argmin()]]
+        limit = f"less than the thinnest limb of {body}, {limbs.min():.4g} m"
+        raise BadInput("the margin is as thick as a limb", field="contact.margin", value=f"{margin:g} m", limit=limit,
+                       remedy="a few millimetres, or auto")  # fmt: skip
+
+
 class Penalty:
     """Penalty contact (the skirt paper) with damping and friction that sticks.
 
@@ -100,6 +119,11 @@ class Penalty:
         normal and its friction spring are orthogonal, so k counts once.
         """
         check(geometry)
+        margin = cast(PenaltyConfig, config).margin
+        if margin != "auto":
+            check_margin(margin, geometry)
+        spread = triangle_spread(fabric.position, fabric.faces) if margin == "auto" else None
+        fixed = (GAP if len(fabric.faces) else 0.0) if margin == "auto" else margin
         own = auto_stiffness(fabric, gravity)
         stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
         damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
@@ -109,13 +133,15 @@ class Penalty:
         rate = (damping.sum(axis=0) / fabric.mass)[free]
         shares = np.array([slip_speed(ratio) for ratio in geometry.damping.tolist()]) * geometry.friction
         faster = shares[:, None] * weight / np.sqrt(stiffness * fabric.mass)
+        contact = make_contact(geometry, stiffness, damping, spread, fixed)
         return Term(
             name="contact",
-            data=(make_contact(geometry, stiffness, damping),),
+            data=(contact,),
             omega_squared=float(omega_squared.max(initial=0.0)),
             damping_rate=float(rate.max(initial=0.0)),
             facts={
                 "rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0)),
+                "margin": float(contact.largest_margin.max(initial=0.0)),
                 "slip_speed": float(faster[:, free].max(initial=0.0)),
             },
         )

@@ -174,13 +174,9 @@ class Surfaces:
 NO_SURFACES = Surfaces(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
 
 
-def surface(geometry: Geometry, inset: float = 0.0, plane_size: float = 4.0) -> Surfaces:
-    """Return the surfaces of all primitives, in order.
-
-    `inset` [m] makes bodies thinner: between its vertices, cloth cuts through the round bodies that it rests on. It
-    does not apply to meshes and skins. Infinite planes become squares of `plane_size` [m].
-    """
-    parts = [_primitive(geometry, i, inset, plane_size) for i in range(len(geometry.kind))]
+def surface(geometry: Geometry, plane_size: float = 4.0) -> Surfaces:
+    """Return the surfaces of all primitives, in order; infinite planes become squares of `plane_size` [m]."""
+    parts = [_primitive(geometry, i, plane_size) for i in range(len(geometry.kind))]
     if not parts:
         return NO_SURFACES
     sizes = [len(x) for x, _ in parts]
@@ -198,17 +194,17 @@ def find_sizes(geometry: Geometry, poses: Poses) -> dict[str, Float]:
     return {one.bodies[0]: np.ptp(surface(one).at(poses), axis=0) for one in bodies if PLANE not in one.kind}
 
 
-def _primitive(geometry: Geometry, i: int, inset: float, plane_size: float) -> tuple[Float, Int]:
+def _primitive(geometry: Geometry, i: int, plane_size: float) -> tuple[Float, Int]:
     """Return vertices (n, 3) [m] and faces (f, 3) of one primitive in its frame."""
     kind, a, b, radius = geometry.kind[i], geometry.a[i], geometry.b[i], float(geometry.radius[i])
     if kind in OF_TRIANGLES:
         return geometry.mesh(i)
     if kind == BOX:
-        return box_mesh(a, np.maximum(b - inset, 0.1 * b))
+        return box_mesh(a, b)
     if kind == PLANE:
-        return plane_mesh(a - inset * b, b, plane_size)
+        return plane_mesh(a, b, plane_size)
     if kind == CAPSULE:
-        return capsule_mesh(a, b, max(radius - inset, 0.1 * radius))
+        return capsule_mesh(a, b, radius)
     raise ValueError(f"unknown primitive kind {int(kind)}")
 
 

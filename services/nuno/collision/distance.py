@@ -155,6 +155,10 @@ def distances(points: Float, columns: Columns) -> Float:
     return least
 
 
+PARTS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1), (2 / 3, 2 / 3, 2 / 3)]) / 2.0
+"""Barycentric coordinates (7, 3) of the corners of the six parts into which a triangle's medians cut it."""
+WEIGHTS = np.array([1, 1, 1, 1, 1, 1, 3]) / 9.0
+"""Share (7,) of the triangle's area at each of them: a third of each part that has it as a corner."""
 _COLUMNS: dict[int, tuple[Geometry, Columns]] = {}
 """Columns of the last few meshes, by the identity of their geometry."""
 
@@ -192,14 +196,17 @@ def body_distances(points: Float, geometry: Geometry, poses: Poses, name: str) -
 
 
 def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
-    """Return the depth (n,) [m] of points inside bodies, 0 outside.
+    """Return the depth (n,) [m] of points inside bodies, 0 outside."""
+    return np.maximum(-_lowest(points, geometry, poses, _reached(points, geometry, poses), True), 0.0)
 
-    Primitives whose bounding sphere does not reach the points' bounding box are skipped: no point can lie inside
-    them. Skins are not skipped, since they bend.
+
+def _reached(points: Float, geometry: Geometry, poses: Poses) -> list[int]:
+    """Return the primitives whose bounding sphere reaches the points' bounding box: no point can lie inside others.
+    Skins are always among them, since they bend.
     """
     finite = points[np.isfinite(points).all(axis=1)]
     if not len(finite):
-        return np.zeros(len(points))
+        return []
     low, high = finite.min(axis=0), finite.max(axis=0)
     centre = 0.5 * (geometry.a + geometry.b)
     reach = 0.5 * np.linalg.norm(geometry.b - geometry.a, axis=1) + geometry.radius
@@ -208,8 +215,48 @@ def penetration(points: Float, geometry: Geometry, poses: Poses) -> Float:
     turns, skins = rotation_matrices(poses.rotation)[geometry.frame], geometry.kind == SKIN
     centre = np.einsum("pij,pj->pi", turns, centre) + poses.translation[geometry.frame]
     away = np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0), axis=1)
-    near = np.flatnonzero((away <= reach) | (geometry.kind == PLANE) | skins)
-    return np.maximum(-_lowest(points, geometry, poses, near, True), 0.0)
+    return np.flatnonzero((away <= reach) | (geometry.kind == PLANE) | skins).tolist()
+
+
+def area_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses) -> tuple[float, float]:
+    """Return the area [m^2] of triangles faces (f, 3) on vertices x (n, 3) that lies inside bodies, and the largest
+    depth [m], from seven points a triangle: one whose vertices are outside of a limb may cut through it.
+
+    A point q = sum_i b_i x_i of a triangle, and a the point of a capsule's axis that is nearest to it, have
+    |q - a|^2 = sum_i b_i |x_i - a|^2 - sum_i b_i |x_i - q|^2, and the last sum is at most L^2 / 3 for sides up to L. So
+    no triangle enters a capsule whose corners are all at least sqrt(r^2 + L^2 / 3) from its axis.
+    """
+    finite = np.asarray(np.isfinite(x).all(axis=1))
+    faces = faces[finite[faces].all(axis=1)]
+    corners = x[faces]
+    spread = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1, initial=0.0) / 3.0
+    inside, deepest = np.zeros((len(faces), len(PARTS)), bool), 0.0
+    for i in _reached(x, geometry, poses):
+        radius = {CAPSULE: float(geometry.radius[i]), PLANE: np.inf}.get(int(geometry.kind[i]), 0.0)
+        margin = np.sqrt(radius**2 + spread) - radius if radius < np.inf else 0.0 * spread
+        near = np.flatnonzero(_least(x, geometry, poses, i)[faces].min(axis=1, initial=np.inf) < margin)
+        if len(near):
+            points = (PARTS @ corners[near]).reshape(-1, 3)
+            distance = _lowest(points, geometry, poses, [i], True).reshape(len(near), -1)
+            inside[near] |= distance < 0.0
+            deepest = max(deepest, -float(distance.min()))
+    edges = corners[:, 1:] - corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return float(area @ (inside @ WEIGHTS)), deepest
+
+
+def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:
+    """Return lower bounds (n,) [m] of the distances of points x (n, 3) to a primitive, negative inside."""
+    if geometry.kind[i] not in OF_TRIANGLES or geometry.distance_field(i) is not None:
+        return _lowest(x, geometry, poses, [i])
+    vertices, faces = geometry.placed(i, poses)
+    if geometry.kind[i] == SKIN:
+        columns = make_columns(vertices, faces)
+    else:
+        frame = geometry.frame[i]
+        columns, x = columns_of(geometry, i), (x - poses.translation[frame]) @ rotation_matrices(poses.rotation)[frame]
+    x, (near, groups) = np.where(np.isfinite(x), x, 0.0), columns.trees
+    return np.where(are_inside(x, columns), -np.inf, near.query(x)[0] - max(size for _, size, _ in groups))
 
 
 def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int], inside_only: bool = False) -> Float:

@@ -11,7 +11,7 @@ from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message, Query
 from nuno.collision.bodies import NO_SURFACES, Bodies, build_bodies, surface
 from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
-from nuno.collision.distance import least_distance, penetration
+from nuno.collision.distance import area_inside, least_distance, penetration
 from nuno.collision.messages import (
     GEOMETRY_QUERY,
     LIVE_BODIES_QUERY,
@@ -26,9 +26,9 @@ from nuno.recording.reader import before_checkpoint, open_recording, recorded_po
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.bodies import Poses
+from nuno_schemas.bodies import Geometry, Poses
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, PENETRATION, STATE, Header, Penetration, Topic
 
@@ -69,22 +69,14 @@ class ClothCheck:
         self.least: float | None = None
         """Least distance in all frames [m]."""
 
-    def take(self, payload: bytes) -> None:
-        """Replace the cloth by that of a message, the first one or a changed one. Raises BadMessage."""
-        arrays, text = decode_arrays(payload)
-        try:
-            faces = arrays["faces"]
-            check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
-            number = [piece["stop"] - piece["start"] for piece in text["objects"]]
-            self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
-            mesh, n, no_sides = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
-            self.near, self.piece = NearPairs(mesh, self.thickness), np.repeat(np.arange(len(self.meet)), number)
-            meshes = Mesh(self.solid.faces + n, mesh.edges, no_sides), Mesh(mesh.faces, self.solid.edges + n, no_sides)
-            self.through = [NearPairs(one, 0.0) for one in meshes]
-        except (LookupError, TypeError, ValueError) as error:
-            raise BadMessage(f"a fabric without {error}") from None
-        except ContractError as error:
-            raise BadMessage(f"a fabric of which {error}") from None
+    def take(self, faces: Int, text: dict[str, Any]) -> None:
+        """Replace the cloth by that of a fabric's message, of triangles `faces` (f, 3)."""
+        number = [piece["stop"] - piece["start"] for piece in text["objects"]]
+        self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
+        mesh, n, no_sides = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
+        self.near, self.piece = NearPairs(mesh, self.thickness), np.repeat(np.arange(len(self.meet)), number)
+        meshes = Mesh(self.solid.faces + n, mesh.edges, no_sides), Mesh(mesh.faces, self.solid.edges + n, no_sides)
+        self.through = [NearPairs(one, 0.0) for one in meshes]
 
     def look(self, points: Float, header: Header, poses: Poses | None = None) -> dict[str, Any]:
         """Return the crossings and the distance of a frame's points (n, 3), with bodies at `poses`, for its report.
@@ -150,7 +142,7 @@ class Collision:
         self.context, self.bodies, self.inbox = context, bodies, inbox
         self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
-        self.deepest = self.last = 0.0
+        self.deepest = self.last = self.area = self.area_depth = 0.0
         self.cache: dict[int, tuple[Poses, bytes]] = {}
         self.followers: Followers | None = None
         if bodies is not None and context.loaded.live:
@@ -161,6 +153,13 @@ class Collision:
         """Last frame that live bodies have moved to."""
         self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
         """None without cloth contact."""
+        self.faces = np.zeros((0, 3), np.int32)
+        """(f, 3) triangles of the cloth."""
+        self.others: Geometry | None = None
+        """Bodies other than those of cloth contact, which cloth enters only by crossings."""
+        if bodies is not None:
+            met = set(context.loaded.scene.met_bodies) if self.cloth is not None else set()
+            self.others = bodies.geometry.of_bodies([i for i in range(len(bodies.geometry.bodies)) if i not in met])
 
     def answer(self, query: Query) -> None:
         """Answer a query for the geometry, the live bodies, or the poses of a frame."""
@@ -258,6 +257,20 @@ class Collision:
             )
         self.context.bus.publisher(BODIES).put(self.poses(header.frame)[1], header.frame, header.t)
 
+    def take(self, payload: bytes) -> None:
+        """Replace the cloth by that of a message, the first one or a changed one. Raises BadMessage."""
+        arrays, text = decode_arrays(payload)
+        try:
+            faces = arrays["faces"]
+            check_array("faces", faces, np.int32, (None, 3), Bounds(0, text["vertices"] - 1))
+            if self.cloth is not None:
+                self.cloth.take(faces, text)
+        except (LookupError, TypeError, ValueError) as error:
+            raise BadMessage(f"a fabric without {error}") from None
+        except ContractError as error:
+            raise BadMessage(f"a fabric of which {error}") from None
+        self.faces = faces
+
     def measure(self, message: Message) -> None:
         """Measure one published frame, report it and acknowledge it. Raises BadMessage."""
         header = message.header
@@ -268,6 +281,16 @@ class Collision:
         if self.bodies is not None and poses is not None:
             depth = penetration(points, self.bodies.geometry, poses)
         inside, cloth = depth > 0.0, self.cloth.look(points, header, poses) if self.cloth else {}
+        area = area_depth = 0.0
+        if (
+            self.bodies is not None
+            and self.others is not None
+            and poses is not None
+            and len(self.faces)
+            and len(points) > self.faces.max()
+        ):
+            geometry = self.bodies.geometry if cloth.get("crossings") else self.others
+            area, area_depth = area_inside(points, self.faces, geometry, poses)
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
@@ -276,6 +299,8 @@ class Collision:
             vertex=deepest,
             inside=int(inside.sum()),
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
+            area=area,
+            area_depth=area_depth,
             seconds=time.perf_counter() - start,
             **cloth,
         )
@@ -287,6 +312,7 @@ class Collision:
     def note(self, report: Penetration) -> None:
         """Add a frame's results to those of all frames."""
         self.deepest, self.last = max(self.deepest, report.depth), report.depth
+        self.area, self.area_depth = max(self.area, report.area), max(self.area_depth, report.area_depth)
         if self.cloth is not None:
             self.cloth.note(report)
 
@@ -297,7 +323,7 @@ def main(context: Context) -> None:
     if context.options.resume is not None and context.loaded.live:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
-    inbox = Inbox(context.bus, [CLOTH_AND_STATES if scene.meets else STATE])
+    inbox = Inbox(context.bus, [CLOTH_AND_STATES])
     collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
     for fields in before_checkpoint(context.options.resume, [PENETRATION.name]):
         collision.note(Penetration.model_validate(fields))
@@ -309,8 +335,8 @@ def main(context: Context) -> None:
         try:
             if message.topic == STATE.name:
                 collision.measure(message)
-            elif message.topic == FABRIC.name and collision.cloth is not None:
-                collision.cloth.take(message.payload)
+            elif message.topic == FABRIC.name:
+                collision.take(message.payload)
         except BadMessage:
             inbox.refuse(message)
 
@@ -320,6 +346,7 @@ def main(context: Context) -> None:
         if collision.followers is not None:
             facts["followed"] = collision.followers.summary()
         facts |= {"deepest": collision.deepest, "last_depth": collision.last}
+        facts |= {"area": collision.area, "area_depth": collision.area_depth}
     if collision.cloth is not None:
         facts["cloth_contact"] = collision.cloth.summary()
     finish.answer_json(context.counts(inbox) | facts)

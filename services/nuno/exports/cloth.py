@@ -259,7 +259,7 @@ def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
-    shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()), INSET)
+    shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()))
     return ShownBodies(**vars(shown), floor=float(heights.max()) if len(heights) else None)
 
 
@@ -332,8 +332,6 @@ stretches by a thousandth, the skirt paper's springs by half."""
 SIDES = 6
 THICKNESS = 0.004
 """Radius of a tube, as part of the net's extent."""
-INSET = 0.002
-"""Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 CLOTHS = ("#5f84ad", "#c4795c", "#84a06c", "#cfa75b", "#95749f", "#5a9590")
 """Colours of objects without one of their own, in their order: soft dye colours that are easy to distinguish."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"

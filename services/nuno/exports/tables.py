@@ -19,6 +19,8 @@ UNITS = {
     "step_seconds": "s",
     "depth": "m",
     "mean": "m",
+    "area": "m^2",
+    "area_depth": "m",
     "stretch": "1",
     "distance": "m",
     "dt": "s",

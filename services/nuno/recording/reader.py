@@ -453,7 +453,7 @@ def read_series(recording: Recording, end: float | None = None) -> dict[str, NDA
     for message in recording.messages([PENETRATION.name], end=end):
         value = recording.said(message)
         rows.setdefault(value["frame"], {"frame": value["frame"], "t": value["t"]}).update(
-            {name: value.get(name) for name in ("depth", "inside", "mean")}
+            {name: value.get(name) for name in ("depth", "inside", "mean", "area", "area_depth")}
             | {name: value[name] for name in ("crossings", "distance") if value.get(name) is not None}
         )
     for message in recording.messages([CONTACT.name], end=end):

@@ -189,8 +189,14 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if report["penetration"] is not None:
         text = f"at most {_millimetres(report['penetration'])}, {_millimetres(report['last_penetration'])} at the end"
         if report["rest_depth"] is not None:
-            text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
+            sinks = f"resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
+            text += (
+                f"; {sinks}{f' into a margin of {_millimetres(margin)}' if (margin := report.get('margin')) else ''}"
+            )
         rows.append(("penetration", text))
+    if report.get("area") is not None:
+        deep = f"at most {report['area'] * 1e4:.3g} cm^2 of cloth, {_millimetres(report['area_depth'])} deep"
+        rows.append(("in bodies", deep if report["area"] else "no cloth, by points on every triangle"))
     rows += outcome.rows(report.get("cloth_contact"))
     rows += [("followed", f"{body}: {_follower_text(counts)}") for body, counts in report.get("followed", {}).items()]
     if report["slip_speed"]:
@@ -320,7 +326,9 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "cloth_contact": services.get("collision", {}).get("cloth_contact"),
         "followed": services.get("collision", {}).get("followed", {}),
         "last_penetration": services.get("collision", {}).get("last_depth"),
-        **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed")},
+        "area": services.get("collision", {}).get("area"),
+        "area_depth": services.get("collision", {}).get("area_depth"),
+        **{name: (summary.get("facts") or {}).get(name) for name in ("rest_depth", "slip_speed", "margin")},
         # A dye that had to finish before its first frame has no amounts.
         "dye": dyer["dye"] if "supplied" in (dyer.get("dye") or {}) else None,
         "dye_steps": _dye_steps(loaded, dyer) if dyer and loaded.scene.moves else None,

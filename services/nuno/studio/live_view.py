@@ -19,7 +19,7 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
 from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
-from nuno.exports.cloth import INSET, colour_of
+from nuno.exports.cloth import colour_of
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
@@ -38,7 +38,7 @@ GROUND = 4.0
 
 def draw_bodies(geometry: Geometry | None, size: float) -> Surfaces:
     """Return the surfaces of a scene's bodies for cloth of a size [m]."""
-    return NO_SURFACES if geometry is None else surface(geometry, INSET, GROUND * size)
+    return NO_SURFACES if geometry is None else surface(geometry, GROUND * size)
 
 
 def size_of(x: Float) -> float:

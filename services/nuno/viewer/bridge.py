@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
-from nuno.exports.cloth import INSET, cut_pieces
+from nuno.exports.cloth import cut_pieces
 from nuno.formatting import duration
 from nuno.simulation.yarns import SPAN
 from nuno.viewer import layout
@@ -75,7 +75,6 @@ with `view: {{colour: stretch}}`, show the stretch of the most stretched thread,
 
 Nets of yarns show the yarn that each link is of, or its tension, where the scene's view has `links: yarn` or
 `links: tension`.
-Bodies are drawn {1000 * INSET:g} mm thinner than they are, so that cloth resting on them shows.
 {dyed}"""
 
 

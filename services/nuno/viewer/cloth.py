@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage, origin_of
 from nuno.collision.bodies import NO_SURFACES, Surfaces, surface, vertex_normals
-from nuno.exports.cloth import BODY, INSET, PLAIN, STRETCH, ShownPiece, paint_yarns
+from nuno.exports.cloth import BODY, PLAIN, STRETCH, ShownPiece, paint_yarns
 from nuno.simulation.yarns import SPAN
 from nuno.viewer import layout
 from nuno_schemas.bodies import PLANE, SKIN, Geometry, Poses
@@ -197,7 +197,7 @@ class BodiesView:
         self.paths = [layout.entity("world", "bodies", *name.split("/", 1)) for name in geometry.frames]
         rigid = geometry.of_primitives(np.flatnonzero(geometry.kind != SKIN).tolist())
         self.skins = [SkinView(recording, geometry, i) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
-        shown = surface(rigid, INSET)
+        shown = surface(rigid)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
             part = frames == frame
