@@ -105,7 +105,7 @@ def square(size: float, cells: int, z: float) -> tuple[np.ndarray, np.ndarray]:
     side = np.linspace(-0.5 * size, 0.5 * size, cells + 1)
     across, along = (part.reshape(-1) for part in np.meshgrid(side, side, indexing="ij"))
     corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1, 1)
-    faces = np.concatenate([corner + [0, cells + 1, 1], corner + [1, cells + 1, cells + 2]])
+    faces = np.concatenate([corner + np.array(at) for at in ([0, cells + 1, 1], [1, cells + 1, cells + 2])])
     return np.stack([across, along, np.full(len(across), z)], axis=1), faces.astype(np.int32)
 
 

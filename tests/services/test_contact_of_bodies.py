@@ -24,8 +24,10 @@ from nuno.replay.verification import Verification, verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file
+from nuno_cloth.models.delaunay import triangulate
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
+from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import PENETRATION, STATE
 
 G = 9.81
@@ -209,3 +211,49 @@ def test_an_open_body_is_told_of_by_name_and_measured_by_its_winding_number(tmp_
     assert warning.endswith("inside is where its winding number says")
     below = np.abs(closest_points(build_tree(ball.vertices, kept.astype(np.int32)), x).distance).max()
     assert depth == pytest.approx(below, abs=TOLERANCE) and depth > 2.0 * TOLERANCE
+
+
+def draped(folder: Path, kind: str, **contact: Any) -> dict[str, Any]:
+    """The report of coarse cloth that falls over a thin limb: a square, scattered triangles, a ribbon of one cell."""
+    model: dict[str, Any] = {"plugin": "sheet", "size": [0.48, 0.48], "resolution": [9, 9], "plane": "xz"}
+    if kind == "ribbon":
+        model |= {"size": [0.48, 0.06], "resolution": [9, 2]}
+    if kind == "mesh":
+        inside = np.random.default_rng(0).uniform(-0.22, 0.22, (60, 2))
+        side = np.linspace(-0.24, 0.24, 9)
+        border = [np.stack(pair, 1) for t in (-0.24, 0.24) for pair in ((side, 0 * side + t), (0 * side + t, side))]
+        flat = np.unique(np.concatenate([inside, *border]), axis=0)
+        faces = triangulate(flat)
+        sheet = trimesh.Trimesh(np.stack([flat[:, 0], 0 * flat[:, 0], flat[:, 1]], 1), faces, process=False)
+        sheet.export(folder / "cloth.obj")
+        model = {"plugin": "mesh", "file": "cloth.obj", "warp": [1, 0, 0]}
+    model["centre"] = [0, 0.6, 0]
+    limb = {"plugin": "capsule", "a": [0, 0.55, -1], "b": [0, 0.55, 1], "radius": 0.04}
+    scene = {
+        "nuno": 1, "name": "drape", "duration": 0.8, "frame_rate": 60, "damping": 0.5,
+        "solver": {"plugin": "symplectic_euler", "dt": "auto"}, "contact": {"plugin": "penalty", **contact},
+        "objects": [{"name": "cloth", "model": model | {"fabric": "jacket"}}],
+        "bodies": [{"name": "limb", "collider": limb}],
+    }  # fmt: skip
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    report = nuno.run(path, record=folder / "run.mcap").report
+    series = nuno.open(folder / "run.mcap").series()
+    assert (report["area"], report["area_depth"]) == (series["area"].max(), series["area_depth"].max())
+    return report
+
+
+@pytest.mark.parametrize("kind", ["sheet", "mesh", "ribbon"])
+def test_cloth_rests_on_a_limb_with_no_part_inside(kind: str, tmp_path: Path) -> None:
+    """Without a margin triangles cut through it between vertices that stay outside."""
+    report = draped(tmp_path, kind)
+    assert report["area"] == report["area_depth"] == report["penetration"] == 0.0
+    bare = draped(tmp_path, kind, margin=0.0)
+    assert bare["area"] > 1e-4 and bare["area_depth"] > bare["penetration"]
+
+
+@pytest.mark.parametrize(("margin", "limit"), [("40 mm", "0.04 m"), ("5 cm", "0.04 m"), ("-1 mm", "0")])
+def test_a_margin_below_zero_or_as_thick_as_a_limb_is_refused(margin: str, limit: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput) as error:
+        draped(tmp_path, "sheet", margin=margin)
+    assert ": contact.margin:" in str(error.value) and limit in str(error.value)

@@ -98,7 +98,7 @@ def check_margin(margin: float, geometry: Geometry) -> None:
     if margin >= limbs.min(initial=np.inf):
         body = geometry.bodies[geometry.body[limbs.argmin()]]
         limit = f"less than the thinnest limb of {body}, {limbs.min():.4g} m"
-        raise BadInput("the margin is as thick as a limb", field="contact.margin", value=f"{margin:g} m", limit=limit,
+        raise BadInput("the margin is as thick as a limb", field="margin", value=f"{margin:g} m", limit=limit,
                        remedy="a few millimetres, or auto")  # fmt: skip
 
 
