@@ -215,7 +215,7 @@ def _stretch_to_even(upper: Float, total: Float) -> Float:
 
 def _find_ribbons(sides: Sides, part: Patches, flat: Float, base: Float, rigidity: Float) -> tuple[Any, Any]:
     """Return the patches (m,) of ribbons one cell wide, and what their heights of unit curvatures are above those of
-    quadratic functions (m, k, 3) [m^2]: from two Gauss points between vertices, and those and their mean where one border ends.
+    quadratic functions (m, k, 3) [m^2]: from two Gauss points between vertices; where one border ends, from them all.
     """
     some = np.flatnonzero(np.all(sides.border[part.vertices], axis=1))
     vertices, _, there, area = (values[some] for values in part)
