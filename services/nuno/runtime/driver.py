@@ -261,6 +261,16 @@ class Driver(ABC):
         field = self.stepper.add(item)
         return {"field": field, "old": None, "new": self.stepper.loaded.value(field)}
 
+    def repeat_changes(self) -> None:
+        """Make the changes that the resumed recording has in the present frame, and record them again; warn of one that
+        is refused, which other changes since the checkpoint may have made impossible.
+        """
+        for event in self.stepper.take_due():
+            answer = self.control({"action": event.text, "item": event.args.get("item")})
+            if not answer["ok"]:
+                text = f"a recorded change is not made again: {answer['error']}"
+                self.context.event("warning", text, self.stepper.frame, self.stepper.t)
+
     def serve(self) -> None:
         """Declare the service alive, wait for the start, step all frames, reply to the query for the end."""
         with self.context.bus.alive():
@@ -344,7 +354,10 @@ class Driver(ABC):
         return "done"
 
     def one_frame(self) -> str:
-        """Step and publish one frame, wait for lockstep subscribers that are behind; return its status."""
+        """Step and publish one frame, after its recorded changes; wait for lockstep subscribers that are behind; return
+        its status.
+        """
+        self.repeat_changes()
         report = self.step_frame().report
         if report.status == LEFT:
             return LEFT

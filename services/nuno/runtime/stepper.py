@@ -80,6 +80,8 @@ class Stepper(ABC):
     """(1,) nonzero tells the solver to abandon its frame, as in nuno_schemas.system.System"""
     steered: tuple[str, ...] = ()
     """Changes of the scene by control requests so far, in words."""
+    ahead: tuple[Event, ...] = ()
+    """Recorded changes of the scene that a resumed or repeated run is still to make, each at its frame, in order."""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
 
@@ -167,6 +169,12 @@ class Stepper(ABC):
     def holds(self) -> str:
         """Return what delays the present frame, in words; called while it is stepped."""
         return ""
+
+    def take_due(self) -> list[Event]:
+        """Return the recorded changes of the present frame, each once, in order."""
+        due = [event for event in self.ahead if event.frame == self.frame]
+        self.ahead = tuple(event for event in self.ahead if event.frame != self.frame)
+        return due
 
     def check_time(self, point: Checkpoint) -> None:
         """Raise BadInput for a checkpoint whose time or step no frame of this scene has."""
@@ -285,10 +293,14 @@ def changes_of(recording: Recording, service: str) -> list[Event]:
 
 
 def take_up(stepper: Stepper, recording: Recording, point: Checkpoint) -> None:
-    """Bring a new stepper to a checkpoint of its scene's recording. Raises BadInput where it does not fit."""
-    changes = [event for event in changes_of(recording, stepper.service) if event.frame <= point.frame]
-    stepper.resume(point, changes)
-    stepper.steered = tuple(describe_changes(changes))
+    """Bring a new stepper to a checkpoint of its scene's recording, with the changes after it `ahead`. Raises BadInput
+    where it does not fit.
+    """
+    changes = changes_of(recording, stepper.service)
+    made = [event for event in changes if event.frame <= point.frame]
+    stepper.resume(point, made)
+    stepper.steered = tuple(describe_changes(made))
+    stepper.ahead = tuple(event for event in changes if event.frame > point.frame)
 
 
 def resume(stepper: Stepper, path: Path) -> None:
@@ -333,23 +345,19 @@ class Resimulation:
     def __init__(self, recording: Recording, stepper: Stepper, start: Recorded | None = None) -> None:
         """Begin at a checkpoint's message, by default at the scene's start. Raises BadInput."""
         self.stepper = stepper
-        self.changes = changes_of(recording, stepper.service)
-        """Changes that are not applied yet."""
+        stepper.ahead = tuple(changes_of(recording, stepper.service))
         if start is not None:
-            point = recording.checkpoint(start)
-            take_up(stepper, recording, point)
-            self.changes = [event for event in self.changes if event.frame > point.frame]
+            take_up(stepper, recording, recording.checkpoint(start))
         stepper.present()
 
     @property
     def changing(self) -> bool:
         """Whether changes of the present frame are not applied yet."""
-        return any(event.frame == self.stepper.frame for event in self.changes)
+        return any(event.frame == self.stepper.frame for event in self.stepper.ahead)
 
     def change(self) -> None:
         """Apply the changes of the present frame, each once, in order."""
-        for event in [event for event in self.changes if event.frame == self.stepper.frame]:
-            self.changes.remove(event)
+        for event in self.stepper.take_due():
             apply = self.stepper.set if event.text == "set" else self.stepper.add
             apply(str(event.args["item"]))
 
