@@ -279,7 +279,7 @@ class Driver(ABC):
             begin, ended = time.perf_counter(), "failed"
             if self.finish is None:
                 self.publish_constant()
-                self.publish(self.stepper.present(), show=True)
+                self.publish(self.stepper.first(), show=True)
                 ended = self.follow() if self.follows else self.run()
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:

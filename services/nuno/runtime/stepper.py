@@ -9,8 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -82,6 +83,8 @@ class Stepper(ABC):
     """Changes of the scene by control requests so far, in words."""
     ahead: tuple[Event, ...] = ()
     """Recorded changes of the scene that a resumed or repeated run is still to make, each at its frame, in order."""
+    resumed: Mapping[str, Any] = MappingProxyType({})
+    """Recorded status of the frame that the run resumes from; empty for one from the start."""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
 
@@ -106,6 +109,12 @@ class Stepper(ABC):
     @abstractmethod
     def present(self) -> Stepped:
         """Return the present frame, without a step; compiles the kernels of a step."""
+
+    def first(self) -> Stepped:
+        """Return the present frame as a run begins with it: a resumed one with the steps that the frame has taken."""
+        frame, told = self.present(), self.resumed
+        report = replace(frame.report, **{name: told[name] for name in ("steps", "counts") if name in told})
+        return replace(frame, report=report, seconds=told.get("step_seconds", frame.seconds))
 
     @abstractmethod
     def about(self) -> str:
@@ -315,6 +324,9 @@ def resume(stepper: Stepper, path: Path) -> None:
             problem, remedy = "the last checkpoint is not finite: its run diverged", "run its scene with a shorter step"
             raise BadInput(problem, str(path), value=f"frame {point.frame}", remedy=remedy)
         take_up(stepper, recording, point)
+        status = recording.last(stepper.status.name, point.t)
+        said = {} if status is None else recording.said(status)
+        stepper.resumed = said if said.get("frame") == point.frame else {}
 
 
 RECORDED = "resume with the plugins that it was recorded with (nuno info names their versions), or run the scene anew"
