@@ -40,7 +40,7 @@ from nuno.simulation.cloth import build_fabric
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import NOW
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import DYE_STATUS, Event
+from nuno_schemas.messages import DYE_STATUS, STATUS, Event
 from soak import same_bits
 from soak.scenes import CASES
 
@@ -288,6 +288,23 @@ def test_time_spent_paused_is_counted_apart(run: Run) -> None:
     assert report["wall_seconds"] + report["paused_seconds"] <= whole
     assert report["wall_seconds"] <= whole - waited
     assert report["real_time_factor"] == pytest.approx(report["simulated_seconds"] / report["wall_seconds"])
+
+
+def test_a_wait_before_the_first_frame_is_a_pause(tmp_path: Path) -> None:
+    """Neither wall time of the run nor a delay of its clock; the parts make up no more than the whole."""
+    run = Run(write_scene(tmp_path, duration=0.2), tmp_path / "waits.mcap", paused=True, real_time=True)
+    run.wait_until_paused()
+    began = time.perf_counter()
+    time.sleep(1.0)
+    waited = time.perf_counter() - began
+    run.control("resume")
+    report, whole = run.report, run.join().seconds["run"]
+    assert report["paused_seconds"] >= waited
+    assert report["wall_seconds"] + report["paused_seconds"] <= whole
+    assert report["wall_seconds"] < report["simulated_seconds"] + waited  # its clock does not wait for it, too
+    with nuno.open(run.record) as recording:
+        statuses = [recording.said(message) for message in recording.messages([STATUS.name])]
+    assert min(status["paused_seconds"] for status in statuses) >= waited
 
 
 def test_a_fields_value_is_what_the_scene_gives_or_leaves_to_the_default(tmp_path: Path) -> None:

@@ -231,10 +231,9 @@ class Supervisor:
 
     def follow(self) -> str:
         """Let the run go to its end; return the error that ended it early, or ""."""
+        self.bus.ask_json("control", {"action": "start", "paused": self.paused})
         if self.paused:
             self.say(f"paused before its first frame; to go on: nuno control {self.run} resume")
-        else:
-            self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(timeout=0.2)
             if self.progress is not None:
