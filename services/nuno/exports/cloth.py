@@ -243,23 +243,23 @@ class ShownBodies(Surfaces):
     floor: float | None = None
 
 
-def read_bodies(recording: Recording) -> ShownBodies | None:
-    """Return the bodies of a recording, or None. Raises BadInput."""
+def read_bodies(recording: Recording, inset: float = 0.0) -> ShownBodies | None:
+    """Return the bodies of a recording, or None; thinner by `inset` [m] in pictures. Raises BadInput."""
     message = recording.last(GEOMETRY.name)
     if message is None:
         return None
     first = next(recording.messages([BODIES.name]), None)
     with recording.damage_reported(message):
-        return shape_bodies(decode_geometry(message.payload), decode_poses(first.payload) if first else None)
+        return shape_bodies(decode_geometry(message.payload), decode_poses(first.payload) if first else None, inset)
 
 
-def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
-    """Return the surfaces of bodies; `first` are their poses at the start, None if unknown."""
+def shape_bodies(geometry: Geometry, first: Poses | None, inset: float = 0.0) -> ShownBodies:
+    """Return the surfaces of bodies, thinner by `inset` [m]; `first` are their poses at the start, None if unknown."""
     # A floor stands still: its first pose is that of the whole run.
     level = _level(geometry, first.rotation) if first else np.zeros(len(geometry.kind), bool)
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
-    shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()), INSET)
+    shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()), inset)
     return ShownBodies(**vars(shown), floor=float(heights.max()) if len(heights) else None)
 
 
@@ -333,7 +333,7 @@ SIDES = 6
 THICKNESS = 0.004
 """Radius of a tube, as part of the net's extent."""
 INSET = 0.002
-"""Bodies are drawn thinner by this much [m]: cloth at rest on them sinks in by about as much."""
+"""Bodies in pictures are thinner by this much [m]: cloth at rest on them sinks in by about as much."""
 CLOTHS = ("#5f84ad", "#c4795c", "#84a06c", "#cfa75b", "#95749f", "#5a9590")
 """Colours of objects without one of their own, in their order: soft dye colours that are easy to distinguish."""
 PLAIN, BODY = "#d8d3cb", "#b9c0c9"

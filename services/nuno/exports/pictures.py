@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
     BODY,
+    INSET,
     PLAIN,
     SIDES,
     STRETCH,
@@ -75,7 +76,7 @@ class Painter:
     def __post_init__(self) -> None:
         check_colour(self.colour)
         self.cloth = Pieces(self.recording)
-        self.bodies: ShownBodies | None = read_bodies(self.recording)
+        self.bodies: ShownBodies | None = read_bodies(self.recording, INSET)
         measured = self.colour in ("stretch", "pressure")
         changes = self.changes or Changes()
         camera, of_dye = of_camera(self.recording, changes.overrides)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno.collision.bodies import build_bodies, surface
 from nuno.exports.camera import place_camera, read_view, z_up
-from nuno.exports.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces, shape_bodies
+from nuno.exports.cloth import INSET, body_vertices, check_size, read_bodies, read_frame, read_pieces, shape_bodies
 from nuno.output_files import Progress, check_target, write_png, writing
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
@@ -95,7 +95,7 @@ def read_worn(recording: Recording, loaded: Loaded, frame: Frame, chosen: Chosen
             "the recording has no yarns to draw", str(recording.path), field="--style", remedy="leave --style out"
         )
     shown = [Mesh(z_up(frame.x[p.start : p.stop]), p.faces) for p in pieces if len(p.faces)]
-    bodies = read_bodies(recording)
+    bodies = read_bodies(recording, INSET)
     points = body_vertices(recording, bodies, frame.t)
     if bodies is not None and len(points):
         shown.insert(0, Mesh(z_up(points), bodies.faces, two_sided=False))
@@ -280,7 +280,7 @@ class Artist:
         self.bodies = build_bodies(loaded) if loaded.scene.bodies else None
         self.shapes = None
         if self.bodies is not None:
-            self.shapes = shape_bodies(self.bodies.geometry, self.bodies.poses(0.0))
+            self.shapes = shape_bodies(self.bodies.geometry, self.bodies.poses(0.0), INSET)
         self.camera: Camera | None = None
         start = Frame(0, 0.0, "", np.asarray(self.fabric.position))
         try:
