@@ -357,7 +357,7 @@ class Deployment:
     listen: str | None = None
     """Endpoint to listen on; None chooses a free port on loopback."""
     connect: str | None = None
-    """Endpoint of a hub with services started by hand; this process starts none."""
+    """Endpoint of a hub with services started by hand, or with `processes` here."""
     run: str | None = None
     config: str | None = None
     """zenoh configuration file (TLS, access control)."""
