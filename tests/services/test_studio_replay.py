@@ -15,7 +15,7 @@ from replays import FOLDER, both, frames, unpack, waving
 from studio_desk import FILE, ask, write_sheet
 
 import nuno
-from nuno.exports.cloth import body_vertices, read_bodies
+from nuno.exports.cloth import INSET, body_vertices, read_bodies
 from nuno.recording.reader import END, open_recording
 from nuno.recording.writer import RecordingWriter, part_of
 from nuno.studio.desk import Desk
@@ -37,7 +37,7 @@ def test_frames_are_the_bytes_that_were_recorded(desk: Desk) -> None:
     head, arrays = frames(desk, found["film"], 3, 5)
     with open_recording(path) as recording:
         recorded = list(recording.frames())
-        bodies = read_bodies(recording)
+        bodies = read_bodies(recording, INSET)
         assert found["times"] == [frame.t for frame in recorded]
         assert found["numbers"] == [frame.number for frame in recorded] and found["says"] == []
         for i, frame in enumerate(recorded[3:8]):
