@@ -37,8 +37,8 @@ class ByHand:
         self.codes: dict[str, int] = {}
 
     def start(self, name: str, *command: str) -> None:
-        line = [*command, str(self.folder / "scene.yaml"), "--run", "r1", "--connect", self.endpoint]
-        line += ["--record", str(self.folder / "r1.mcap")]
+        line = [*command[:2], str(self.folder / "scene.yaml"), "--run", "r1", "--connect", self.endpoint]
+        line += ["--record", str(self.folder / "r1.mcap"), *command[2:]]
 
         def body() -> None:
             self.codes[name] = main(line)
@@ -131,6 +131,28 @@ def test_services_that_are_left_end_with_1_where_the_run_failed(
     by_hand.start("run", "run", "--no-view")
     assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [1, 1, 1]
     assert "failed: the run failed: the simulation service died: the loom" in capsys.readouterr().err
+
+
+def test_a_run_by_the_clock_needs_a_simulation_by_the_clock(
+    by_hand: ByHand, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_hand.serve("recorder", "simulation")
+    by_hand.start("run", "run", "--no-view", "--real-time")
+    assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [2, 1, 1]
+    assert "--real-time: the simulation service does not wait for the clock" in capsys.readouterr().err
+    by_hand.serve("recorder")
+    by_hand.start("simulation", "serve", "simulation", "--real-time")
+    by_hand.start("run", "run", "--no-view", "--real-time")
+    assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [0, 0, 0]
+    assert "frames waited for it" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", [("--processes",), ("--listen", "tcp/127.0.0.1:0")])
+def test_a_run_of_services_that_wait_starts_none_and_listens_nowhere(
+    option: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(write_scene(tmp_path)), "--connect", "tcp/127.0.0.1:1", *option]) == 2
+    assert f"error: {option[0]}: " in capsys.readouterr().err
 
 
 @pytest.fixture

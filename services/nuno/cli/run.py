@@ -148,6 +148,10 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
+    for option, value in (("--processes", args.processes), ("--listen", args.listen)):
+        if args.connect is not None and value:
+            problem = "--connect starts no service, and listens nowhere"
+            raise BadInput(problem, field=option, value=args.connect, remedy=f"leave {option} or --connect out")
     budget = budget_of(args)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)

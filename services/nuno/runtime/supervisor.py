@@ -165,7 +165,8 @@ class Supervisor:
         for services in (set(self.needed), self.dispensable):
             try:
                 alive = services & self.watch.alive()
-                notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
+                resumes, real_time = self.options.resume is not None, self.options.real_time
+                notes = check_premises(self.bus, alive, self.loaded, resumes, real_time)
             except RunFailed as error:
                 self._hear({error.peer})
                 if broken := self.cut_off():
