@@ -474,7 +474,8 @@ def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[st
     kept = {"recorder": supervisor.options.record, "viewer": supervisor.options.save}
     for name, path in kept.items():
         if path is not None and (missing := answers.get(name, {}).get("missing")):
-            lost.append(f"{path} is not whole: it lacks {counted(missing)}")
+            written = answers[name].get("file", str(path)).removesuffix(".part")
+            lost.append(f"{written} is not whole: it lacks {counted(missing)}")
     if supervisor.options.save is not None:
         words = f"{supervisor.options.save} is not whole"
         lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]
