@@ -322,6 +322,29 @@ def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names
     assert files[2:4] == ["below/tube.json", "other.json"]
 
 
+@pytest.mark.parametrize(
+    ("written", "changed"),
+    [
+        ('fabric: "interlock"', 'fabric: "silk"'), ('edge: "6 cm"', 'edge: "5 cm"'), ('"column.obj"', '"other.obj"'),
+        ('name: "tube-worn"', 'name: "mine"'), ("duration: 6 s", "duration: 7 s"), ("nuno: 1", "nuno: 1\n# mine"),
+    ],
+)  # fmt: skip
+def test_a_scene_with_any_change_is_not_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], written: str, changed: str
+) -> None:
+    """Also with one that `nuno sew` could have written; one without a change is, and the command says so."""
+    flags = "--body", "column.obj", "--edge", "6 cm", "--write"
+    for more, said in ((), False), (("--fabric", "denim"), True), ((), True):
+        assert wear(tmp_path, monkeypatch, *flags, *more) == 0
+        assert ("replaced   tube-worn.yaml" in capsys.readouterr().out) == said
+    scene = tmp_path / "tube-worn.yaml"
+    own = scene.read_text().replace(written, changed)
+    assert own != scene.read_text()
+    scene.write_text(own)
+    assert wear(tmp_path, monkeypatch, *flags) == 2
+    assert scene.read_text() == own and "has been changed" in capsys.readouterr().err
+
+
 def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And a scene of several is written again for other flags, as one of one is."""
     for edge in ("5 cm", "6 cm"):

@@ -85,7 +85,8 @@ def wear(args: argparse.Namespace) -> int:
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
-    if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
+    before = scene.read_text(encoding="utf-8") if scene.exists() else None
+    if before is not None and not is_own(before, name_garments([scene.stem])[0]):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
     for pattern in args.patterns:
@@ -100,6 +101,8 @@ def wear(args: argparse.Namespace) -> int:
     with replacing(scene) as new:
         text = describe_worn(scene.stem, garments, args.edge, moved.get("body"), moved.get("motion"), flags)
         new.write_text(text, encoding="utf-8")
+    if before not in (None, text):
+        print(f"replaced   {scene}, which was written for other files or options", flush=True)
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:
