@@ -163,6 +163,12 @@ REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and has been changed"),
     "fabric": (("--body", "column.obj", "--fabric", "demin"), "'denim'"),
     "edge": (("--body", "column.obj", "--edge", "2 km"), "edge"),
+    "edge of a check": (("--check", "--edge", "1 cm"), "error: --edge: "),
+    "fabric of a check": (("--check", "--fabric", "denm"), "error: --fabric: "),
+    "scene of a check": (("--check", "--scene", "foo.yaml"), "error: --scene: "),
+    "a check is not written": (("--check", "--write"), "error: --write: "),
+    "gather on a body": (("--body", "column.obj", "--gather", "1.01"), "error: --gather: "),
+    "no JSON of a run": (("--body", "column.obj", "--write", "--json"), "error: --json: "),
 }
 
 
