@@ -165,7 +165,8 @@ class Supervisor:
         for services in (set(self.needed), self.dispensable):
             try:
                 alive = services & self.watch.alive()
-                notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
+                resumes, real_time = self.options.resume is not None, self.options.real_time
+                notes = check_premises(self.bus, alive, self.loaded, resumes, real_time)
             except RunFailed as error:
                 self._hear({error.peer})
                 if broken := self.cut_off():
@@ -472,7 +473,8 @@ def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[st
     kept = {"recorder": supervisor.options.record, "viewer": supervisor.options.save}
     for name, path in kept.items():
         if path is not None and (missing := answers.get(name, {}).get("missing")):
-            lost.append(f"{path} is not whole: it lacks {counted(missing)}")
+            written = answers[name].get("file", str(path)).removesuffix(".part")
+            lost.append(f"{written} is not whole: it lacks {counted(missing)}")
     if supervisor.options.save is not None:
         words = f"{supervisor.options.save} is not whole"
         lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]

@@ -465,7 +465,8 @@ class Simulation(Stepper):
             with contextlib.suppress(BadInput):
                 trial._alter(names.index(applied.object or names[0]), chosen)
                 trial.measure(self.poses)
-        if self.loaded.live and (free := np.flatnonzero(~self.parts()[0].pinned)).size:
+        first = self.parts()[0] if self.loaded.live else None
+        if first is not None and (free := np.flatnonzero(~first.pinned[first.named()])).size:
             trial = copy(self)
             with contextlib.suppress(BadInput):
                 trial.add(f"attach: {{body: {json.dumps(self.loaded.live[0])}, vertices: [{free[0]}]}}")
