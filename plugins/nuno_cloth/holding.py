@@ -20,22 +20,25 @@ from nuno_schemas.vectors import turn
 # Functions that `attach` and `release` share.
 
 VertexNumber = Annotated[int, Field(ge=0)]
-VERTICES = "or just these, by their numbers in the object"
+VERTICES = "or just these, by their numbers in the object; those of its file, where a mesh was merged"
 
 
 def check_vertices(numbers: tuple[int, ...], fabric: Fabric) -> Int:
-    """Return the numbers (k,) of vertices. Raises BadInput if there are none, one does not exist or is named twice."""
+    """Return the vertex (k,) of each number; two numbers of a merged file may be one vertex. Raises BadInput if there
+    are no numbers, one does not exist or is named twice.
+    """
+    vertices = fabric.named()
     chosen = np.array(numbers, np.int64)
     if not len(chosen):
         raise BadInput("no vertex is named", field="vertices", value=[], limit="one or more")
-    if chosen.max() >= fabric.number:
-        limit = f"0 to {fabric.number - 1}"
+    if chosen.max() >= len(vertices):
+        limit = f"0 to {len(vertices) - 1}"
         remedy = "numbers are those of the object; or take what is within reach of a body: within: 1 cm"
         raise BadInput("there is no such vertex", field="vertices", value=int(chosen.max()), limit=limit, remedy=remedy)
     names, counts = np.unique(chosen, return_counts=True)
     if counts.max() > 1:
         raise BadInput("this vertex is named twice", field="vertices", value=int(names[counts.argmax()]))
-    return chosen.astype(np.int32)
+    return vertices[chosen]
 
 
 def unchanged(fabric: Fabric, state: State, vertices: int) -> Outcome:
@@ -90,7 +93,7 @@ class Release:
             chosen = check_vertices(config.vertices, fabric)
             if (free := ~held[chosen]).any():
                 holder = "held" if config.body is None else f"attached to {config.body}"
-                raise BadInput(f"this vertex is not {holder}", field="vertices", value=int(chosen[np.argmax(free)]))
+                raise BadInput(f"this vertex is not {holder}", field="vertices", value=config.vertices[np.argmax(free)])
             held[:] = False
             held[chosen] = True
         kept = [(binding, ~held[binding.vertices]) for binding in fabric.bindings]
@@ -168,8 +171,8 @@ def _choose_vertices(config: AttachConfig, fabric: Fabric, distance: np.ndarray)
         chosen = check_vertices(config.vertices, fabric)
         if (held := fabric.pinned[chosen]).any():
             problem, remedy = "this vertex is held already", "leave it out, or release it first"
-            raise BadInput(problem, field="vertices", value=int(chosen[np.argmax(held)]), remedy=remedy)
-        return chosen
+            raise BadInput(problem, field="vertices", value=config.vertices[np.argmax(held)], remedy=remedy)
+        return chosen if fabric.merged is None else np.unique(chosen)
     near = distance <= config.within
     if not near.any():
         raise BadInput(

@@ -316,6 +316,11 @@ def unit_of(size: float, worn: float = 0.0) -> str:
     return next(fits, "")
 
 
+def units_for(size: float) -> dict[str, float]:
+    """Return the units in which a file's size is that of a person, a part of one or a garment, each with it in [m]."""
+    return {unit: size * long for unit, long in UNITS.items() if METRES[0] <= size * long <= METRES[1]}
+
+
 def check_size(x: Float, body: str, scale: float) -> None:
     """Raise BadInput for a body x (v, 3) [m] of an implausible size; `body` is its name, `scale` the assumed length of
     its file's unit [m].
@@ -325,7 +330,7 @@ def check_size(x: Float, body: str, scale: float) -> None:
         return
     setting, assumed = f"bodies.{body}.collider.scale", "metres" if scale == 1.0 else f"the {scale:g} m of its scale"
     # It may be a part of a person: more than one unit may fit.
-    fits = {unit: size / scale * long for unit, long in UNITS.items() if METRES[0] <= size / scale * long <= METRES[1]}
+    fits = units_for(size / scale)
     units = [f"{unit} if it is {long:.3g} m long" for unit, long in fits.items()] if len(fits) > 1 else list(fits)
     remedy = f"say how long its unit is: --set {setting}={', '.join(units) or 'LENGTH'}"
     raise BadInput(

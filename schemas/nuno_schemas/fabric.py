@@ -413,6 +413,8 @@ class Fabric:
     bindings                 pinned vertices that follow a body
     texture                  path of an image, or None
     numbers  (n,)   int32    the user's number of each vertex, if the fabric was renumbered; else None
+    merged   (g,)   int32    the vertex that each vertex of its file has become, each of the first ones once at least,
+                             if a mesh was merged; else None
     origin                   properties of the fabric as built, noted by an operation that changed it; of an unchanged
                              fabric at most k_bend [N/m], the stiffness of bending springs, for a mesh without an inner
                              edge, whose elements do not show it
@@ -435,6 +437,7 @@ class Fabric:
     bending: Bending | None = None
     friction: BendingFriction | None = None
     numbers: Annotated[Int, "n", Bounds(0, below="n")] | None = None
+    merged: Annotated[Int, "g", Bounds(0, below="n")] | None = None
     corners: Corners | None = None
     origin: Mapping[str, float] = field(default_factory=dict)
 
@@ -445,6 +448,13 @@ class Fabric:
     def told(self, vertex: int) -> int:
         """Return the user's number of a vertex."""
         return vertex if self.numbers is None else int(self.numbers[vertex])
+
+    def named(self) -> Int:
+        """Return the vertex (g,) of each number of the user: those of its file, then those added by operations."""
+        if self.merged is None:
+            return np.arange(self.number, dtype=np.int32)
+        added = np.arange(self.merged.max(initial=-1) + 1, self.number, dtype=np.int32)
+        return np.concatenate([self.merged, added])
 
     @property
     def laid_out(self) -> Corners | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -261,6 +262,51 @@ def test_bad_meshes_are_refused_by_name(files: Folder) -> None:
     for name in ("empty.obj", "bad.stl", "image.png"):
         with pytest.raises(BadInput):
             build(Mesh(), {"file": name}, files)
+
+
+def write_halves(path: Path) -> np.ndarray:
+    """Write a sheet of 4 x 4 vertices in two halves, which share a row; return its points (20, 3), as in the file."""
+    points = np.array([[x, y, 0] for half in ((0, 1), (1, 2, 3)) for y in half for x in range(4)], np.float64)
+    quads = [[4 * row + k, 4 * row + k + 1, 4 * row + k + 5, 4 * row + k + 4] for row in (0, 2, 3) for k in range(3)]
+    number = np.random.default_rng(5).permutation(20)
+    points[number] = points.copy()
+    lines = ["v {} {} {}".format(*point) for point in points.tolist()]
+    lines += ["f " + " ".join(str(number[k] + 1) for k in quad) for quad in quads]
+    path.write_text("\n".join(lines) + "\n")
+    return points
+
+
+def test_pins_of_a_merged_mesh_are_the_files_numbers(files: Folder) -> None:
+    """Two of them may be one vertex; those beyond the file's are refused, though there may be as many vertices."""
+    points = write_halves(files.root / "halves.obj")
+    for number, point in enumerate(points):
+        fabric = build(Mesh(), {"file": "halves.obj", "merge": True, "pin": [number]}, files)
+        assert fabric.number == 16 and np.array_equal(fabric.position[fabric.pinned], [point])
+        assert np.array_equal(fabric.position[fabric.named()], points)
+    for number in (-1, 20):
+        with pytest.raises(BadInput) as caught:
+            build(Mesh(), {"file": "halves.obj", "merge": True, "pin": [3, number]}, files)
+        refused = caught.value
+        assert (refused.field, refused.value, refused.limit) == ("pin[1]", number, "0 to 19")
+        assert refused.remedy is not None and "columns" not in refused.remedy
+
+
+def test_faults_of_a_merged_mesh_are_named_by_the_files_numbers(files: Folder) -> None:
+    write_halves(files.root / "halves.obj")
+    path = files.root / "spare.obj"
+    path.write_text((files.root / "halves.obj").read_text() + "v 9 9 9\n")
+    with pytest.raises(BadInput, match="belong to no triangle") as caught:
+        build(Mesh(), {"file": "spare.obj", "merge": True}, files)
+    assert caught.value.field == "vertex 20"
+
+
+def test_vertices_of_an_stl_are_counted_as_their_places_appear(files: Folder) -> None:
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    facets = ["facet normal 0 0 1\nouter loop\n" + "".join("vertex {} {} {}\n".format(*c) for c in three)
+              + "endloop\nendfacet\n" for three in (corners[:3], corners[3:])]  # fmt: skip
+    (files.root / "two.stl").write_text("solid two\n" + "".join(facets) + "endsolid two\n")
+    fabric = build(Mesh(), {"file": "two.stl", "pin": [3]}, files)
+    assert fabric.position[fabric.pinned].tolist() == [[1.0, 1.0, 0.0]]
 
 
 def test_merging_joins_vertices_at_one_place(files: Folder) -> None:

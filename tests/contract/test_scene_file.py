@@ -69,6 +69,9 @@ FIELDS: dict[str, tuple[dict[str, Any], str, str, str]] = {
         "objects[0].size", "no such field", "a field of objects[0].model: move it there",
     ),
     "field of a part that is not there": ({"azimuth": 1}, "azimuth", "no such field", "a field of view: move it there"),
+    "field of a part that is not there, in another": (
+        {"forces": [{"plugin": "wind", "speed": 3}]}, "forces[0].speed", "no such field", "known: density, normal",
+    ),
     "field of the scene": (
         {"solver": {"plugin": "rk4", "duration": 1}}, "solver.duration", "no such field", "the scene itself: move",
     ),

@@ -71,6 +71,30 @@ def test_what_is_attached_keeps_its_place_in_the_frame(tmp_path: Path, solver: s
     assert np.abs(local(simulation) - start)[free].max() > 1e-4
 
 
+def test_vertices_of_a_merged_mesh_are_the_files_numbers(tmp_path: Path) -> None:
+    """Also after a wrinkle, whose vertices have the numbers after those of the file."""
+    corners = 0.1 * np.array([[0, 0.5, 0], [1, 0.5, 0], [1, 0.5, -1], [0, 0.5, 0], [1, 0.5, -1], [0, 0.5, -1]])
+    lines = ["v {} {} {}".format(*corner) for corner in corners.tolist()]
+    (tmp_path / "two.obj").write_text("\n".join([*lines, "f 1 2 3", "f 4 5 6"]))
+    model = {"plugin": "mesh", "file": "two.obj", "merge": True, "fabric": "interlock", "tension": "springs"}
+    simulation = hand(folder=tmp_path, objects=[{"name": "cloth", "model": model}])
+    assert simulation.fabric.number == 4
+    simulation.add("wrinkle: {lines: [{points: [[0.06, 0.05, 0], [0.06, 0.05, -0.1]], height: 5 mm}]}")
+    added = simulation.fabric.number - 4
+    assert added > 0
+    simulation.add(f"attach: {{body: ball, vertices: [0, 3, 5, {5 + added}]}}")
+    held = simulation.state.x[simulation.fabric.pinned]
+    assert held.tolist() == [*corners[[0, 5]].tolist(), simulation.state.x[-1].tolist()]
+    with pytest.raises(BadInput, match="held already") as caught:
+        simulation.add("attach: {body: ball, vertices: [4, 3]}")
+    assert caught.value.value == 3
+    with pytest.raises(BadInput, match="no such vertex") as caught:
+        simulation.add(f"release: {{vertices: [{6 + added}]}}")
+    assert caught.value.limit == f"0 to {5 + added}"
+    simulation.add("release: {vertices: [3]}")
+    assert not (simulation.state.x[simulation.fabric.pinned] == corners[0]).all(axis=1).any()
+
+
 def test_what_is_released_goes_on_as_it_was_carried_and_falls(tmp_path: Path) -> None:
     """Its centre of mass: in symplectic Euler's free fall, from the velocity that it had."""
     bodies = [{"name": "far", "collider": {"plugin": "sphere", "centre": [0, 9, 0], "radius": 0.1}}]

@@ -362,6 +362,10 @@ def test_a_recording_of_another_scene_is_not_gone_on_from(refused: Refused, tmp_
     other = refused("run", *flags, "--set", "objects=[{name: a, model: {plugin: sheet, resolution: [4, 4]}}]")
     assert "this field cannot change when a run goes on from a checkpoint" in other
     assert "the recording goes on after that" in refused("run", *flags, "--set", "duration=0.1")
+    for item, possible in (("gravity=[0, -1, 0]", True), ("objects[0].model.fabric=wool", False)):
+        other = refused("run", *flags, "--set", item)
+        assert f"{item.partition('=')[0].partition('[')[0]}: this field cannot change" in other and item in other
+        assert ("nuno control last set" in other) == possible  # whose answer to the other is a refusal as well
     assert not list(tmp_path.glob("on*"))
 
 

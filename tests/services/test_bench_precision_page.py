@@ -8,6 +8,7 @@ import json
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -50,6 +51,7 @@ def test_files_hold_every_point(tmp_path: Path, found: Findings) -> None:
     report(found).write_beside(tmp_path / "line")
     content = json.loads((tmp_path / "line.json").read_text())
     assert [POINT.validate_python(point) for point in content["points"]] == found.points
+    assert content["premises"].items() >= {"duration": found.problem.loaded.scene.duration, "gravity[1]": -9.81}.items()
     with (tmp_path / "line.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == sum(max(1, len(point.errors)) for point in found.points)
@@ -160,7 +162,7 @@ def written_point(setting: str, error: float = 1e-3, times: tuple[float, ...] = 
 
 
 def result(*points: SolverPoint) -> SweepResult:
-    return SweepResult("net", {one.key: one for one in points}, {"drop": FLOOR, "energy": FLOOR}, {})
+    return SweepResult("net", {}, {one.key: one for one in points}, {"drop": FLOOR, "energy": FLOOR}, {})
 
 
 def changed(a: SolverPoint, b: SolverPoint) -> tuple[str, ...]:
@@ -210,9 +212,9 @@ def test_points_of_one_result_only_are_named() -> None:
     assert "Only in A: rk4 a." in said and "Only in B: rk4 c." in said
 
 
-def write(path: Path, *points: SolverPoint, scene: str = "net") -> Path:
+def write(path: Path, *points: SolverPoint, scene: str = "net", size: str = "0.3 s", **premises: object) -> Path:
     floors = {name: asdict(Error(FLOOR, FLOOR, FLOOR)) for name in ("drop", "energy")}
-    data = {"about": {"date": "today"}, "scene": scene, "reference": {"how": "", "floors": floors}}
+    data = {"about": {"scene": size}, "scene": scene, "reference": {"how": "", "floors": floors}, "premises": premises}
     path.write_text(json.dumps(data | {"points": [asdict(one) for one in points]}))
     return path
 
@@ -234,6 +236,44 @@ def test_another_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     other.write_text(content)
     assert main(["bench", "compare", str(good), str(other)]) == 2
     assert "no result of a precision sweep" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "field", "values"),
+    [
+        ({"duration": 0.3}, {"duration": 0.2, "size": "0.2 s"}, "duration", ("0.3", "0.2")),
+        ({"gravity[1]": -9.81}, {"gravity[1]": -1.62}, "gravity[1]", ("-9.81", "-1.62")),
+        ({"file a.obj": "ab"}, {"file a.obj": "cd"}, "file a.obj", ("ab", "cd")),
+        ({}, {"size": "0.2 s"}, "size and duration", ("0.3 s", "0.2 s")),
+    ],
+)
+def test_sweeps_of_other_scenes_of_one_name_are_refused(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    a: dict[str, Any],
+    b: dict[str, Any],
+    field: str,
+    values: tuple[str, str],
+) -> None:
+    first = write(tmp_path / "a.json", written_point("a"), **a)
+    second = write(tmp_path / "b.json", written_point("a"), **b)
+    assert main(["bench", "compare", str(first), str(second)]) == 2
+    said = capsys.readouterr().err
+    assert field in said and all(value in said for value in values) and "b.json" in said
+
+
+def test_versions_solvers_and_what_one_result_lacks_are_no_other_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = write(tmp_path / "a.json", written_point("a"), **{"version nuno": "1", "solver.dt": 1e-3, "view.fps": 1})
+    second = write(tmp_path / "b.json", written_point("a"), **{"version nuno": "2", "solver.dt": 2e-3, "seed": 0})
+    older = write(tmp_path / "c.json", written_point("a"))
+    assert main(["bench", "compare", str(first), str(second)]) == 0
+    said = capsys.readouterr().out
+    assert "solver.dt (0.001 in A, 0.002 in B)" in said and "seed" in said
+    assert "version" not in said and "view" not in said
+    assert main(["bench", "compare", str(older), str(second)]) == 0
+    assert "only size and duration were compared" in capsys.readouterr().out
 
 
 def test_results_without_anything_in_common_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

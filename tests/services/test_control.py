@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import shutil
 import sys
 import threading
 import time
@@ -13,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from live_run import Run, start_long, wait_until
+from garment_scene import DROP, PASTE, SHEET, alone, write
+from live_run import Live, Run, start_long, wait_until
 from scenes import write_scene
 
 import nuno
@@ -23,16 +26,21 @@ from nuno.bus.sessions import spoke
 from nuno.cli import main
 from nuno.cli.active_runs import SLOW
 from nuno.exports.tables import export_scene
-from nuno.recording.reader import control_events
+from nuno.recording.reader import CHANGES, control_events
+from nuno.recording.writer import part_of
+from nuno.replay.verification import verify
 from nuno.report.run_report import lines, make_report
 from nuno.runtime import runs
 from nuno.runtime.driver import Driver
+from nuno.runtime.service import Options
+from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file
 from nuno.scene.override import apply_override
 from nuno.simulation.cloth import build_fabric
 from nuno.simulation.run import Simulation
 from nuno.simulation.service import NOW
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import DYE_STATUS, STATUS, Event
 from soak import same_bits
 from soak.scenes import CASES
 
@@ -86,6 +94,66 @@ def test_a_report_and_an_exported_scene_name_what_was_changed_during_the_run(tmp
     end = (frame + 4) / run.loaded.scene.frame_rate
     again = nuno.resume(run.record, {"duration": end}, record=tmp_path / "again.mcap")
     assert again.report["steered"] == report["steered"]
+
+
+FOLD = {"wrinkle": {"object": "other", "lines": [{"on_faces": [{"face": 20, "at": [0.3, 0.3, 0.4]},
+        {"face": 30, "at": [0.3, 0.3, 0.4]}], "height": 0.01}]}}  # fmt: skip
+STEERED = {"cloth": (("set", "gravity=[0, -1.62, 0]"),), "dye": (("add", {"resist": PASTE}), ("add", {"supply": DROP}))}
+STEERED["both"] = (*STEERED["cloth"], ("add", FOLD), *STEERED["dye"])
+
+
+@pytest.mark.parametrize("part", STEERED)
+def test_a_resumed_run_makes_the_changes_after_its_checkpoint_again(part: str, tmp_path: Path) -> None:
+    """Of a recording cut after them: bits, events and report are those of the run that was not cut."""
+    models = {"other": SHEET | {"centre": [1, 0, 0], "cells": "triangles"}, "sheet": SHEET}
+    fields: dict[str, Any] = {"objects": [{"name": name, "model": model} for name, model in models.items()]}
+    fields |= {"dye": None} if part == "cloth" else {}
+    scene = alone(tmp_path) if part == "dye" else write(tmp_path, **fields)
+    run = Run(scene, tmp_path / "whole.mcap", paused=True)
+    run.step_to(5)
+    for action, item in STEERED[part]:
+        assert run.control(action, item=item if isinstance(item, str) else json.dumps(item))["ok"]
+    run.step_to(6)
+    assert run.control("set", item="gravity=[0, -3.7, 0]")["ok"] == (part != "dye")
+    cut = Path(shutil.copy(part_of(run.record), tmp_path / "cut.mcap.part"))
+    run.control("resume")
+    assert run.join().state == "done"
+    with nuno.open(cut) as recording:
+        assert recording.common_checkpoint().t == pytest.approx(4 / run.loaded.scene.frame_rate)
+    again = nuno.resume(cut, record=tmp_path / "again.mcap")
+    assert again.digest == run.report["digest"] and again.report["steered"] == run.report["steered"]
+    with nuno.open(run.record) as whole:
+        assert again.recording.marks() == whole.marks()
+        assert again.recording.marks(DYE_STATUS.name) == whole.marks(DYE_STATUS.name)
+        assert changes(again.recording) == changes(whole) and len(changes(whole)) >= len(STEERED[part])
+    assert verify(again.recording).frame is None
+
+
+def changes(recording: nuno.Recording) -> list[Event]:
+    """By service, each in order: two that step write independently."""
+    found = [event for event in control_events(recording) if event.text in CHANGES]
+    return sorted(found, key=lambda event: event.service)
+
+
+def test_a_recorded_change_that_another_one_forbids_is_named(tmp_path: Path) -> None:
+    """The force that it changes is taken away before its frame: the run goes on without it, and says so."""
+    wind = {"plugin": "particle_wind", "strength": "1 mN"}
+    scene = write_scene(tmp_path, forces=[wind], duration=0.2, record={"checkpoint_every": 0.04})
+    run = Run(scene, tmp_path / "whole.mcap", paused=True)
+    run.step_to(3)
+    assert run.control("set", item="forces.particle_wind.strength=2 mN")["ok"]
+    cut = Path(shutil.copy(part_of(run.record), tmp_path / "cut.mcap.part"))
+    run.stop()
+    options = Options(record=tmp_path / "again.mcap", resume=cut)
+    again = Live(scene_file.read(scene), options, Deployment(paused=True))
+    again.wait_until_paused()
+    assert again.control("set", item="forces=[]")["ok"]
+    again.control("resume")
+    assert again.join().state == "done"
+    with nuno.open(tmp_path / "again.mcap") as recording:
+        assert [(event.frame, event.args["item"]) for event in changes(recording)] == [(2, "forces=[]")]
+        (warning,) = (event for event in recording.events() if event.kind == "warning" and event.frame == 3)
+        assert "forces" in warning.text and verify(recording).frame is None
 
 
 def test_a_run_may_wait_before_its_first_frame_and_says_where_its_cloth_is(tmp_path: Path) -> None:
@@ -220,6 +288,23 @@ def test_time_spent_paused_is_counted_apart(run: Run) -> None:
     assert report["wall_seconds"] + report["paused_seconds"] <= whole
     assert report["wall_seconds"] <= whole - waited
     assert report["real_time_factor"] == pytest.approx(report["simulated_seconds"] / report["wall_seconds"])
+
+
+def test_a_wait_before_the_first_frame_is_a_pause(tmp_path: Path) -> None:
+    """Neither wall time of the run nor a delay of its clock; the parts make up no more than the whole."""
+    run = Run(write_scene(tmp_path, duration=0.2), tmp_path / "waits.mcap", paused=True, real_time=True)
+    run.wait_until_paused()
+    began = time.perf_counter()
+    time.sleep(1.0)
+    waited = time.perf_counter() - began
+    run.control("resume")
+    report, whole = run.report, run.join().seconds["run"]
+    assert report["paused_seconds"] >= waited
+    assert report["wall_seconds"] + report["paused_seconds"] <= whole
+    assert report["wall_seconds"] < report["simulated_seconds"] + waited  # its clock does not wait for it, too
+    with nuno.open(run.record) as recording:
+        statuses = [recording.said(message) for message in recording.messages([STATUS.name])]
+    assert min(status["paused_seconds"] for status in statuses) >= waited
 
 
 def test_a_fields_value_is_what_the_scene_gives_or_leaves_to_the_default(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from garment_scene import DROP, PASTE, alone, write
 from live_run import Run
+from numpy.typing import NDArray
 
 import nuno
 from nuno.bus.encodings import decode_arrays
@@ -27,7 +28,7 @@ from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE
+from nuno_schemas.messages import CONCENTRATION, DYE_STATUS, STATE, STATUS
 
 
 @pytest.mark.full
@@ -87,8 +88,24 @@ def test_both_are_resumed_from_the_last_frame_that_both_have_kept(tmp_path: Path
         with nuno.open(tmp_path / "on.mcap") as ours:
             assert ours.marks() == whole.recording.marks()
             assert ours.marks(DYE_STATUS.name) == whole.recording.marks(DYE_STATUS.name)
+            _require_the_columns_of(ours, whole.recording, part.recording.series(), frame)
             found = verify(ours)
             assert (found.frame, found.compared, found.dyed) == (None, 11, 11)
+
+
+def _require_the_columns_of(
+    ours: nuno.Recording, whole: nuno.Recording, part: dict[str, NDArray[Any]], frame: int
+) -> None:
+    """All columns are those of the unbroken run, and wall times until the checkpoint those of the resumed one."""
+    columns, others = ours.series(), whole.series()
+    assert columns.keys() == others.keys()
+    for name in columns:
+        if name in ("step_seconds", "dye_step_seconds"):
+            assert np.array_equal(columns[name][: frame + 1], part[name][: frame + 1])
+        else:
+            assert np.array_equal(columns[name], others[name]), name
+    counts = [[one.said(m)["counts"] for m in one.messages([STATUS.name])] for one in (ours, whole)]
+    assert counts[0] == counts[1]
 
 
 def _without_last_checkpoint(path: Path, topic: str) -> Path:

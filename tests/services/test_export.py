@@ -168,7 +168,7 @@ def test_glb_normals_are_those_of_the_surface_and_need_no_scipy(path: Path, tmp_
     a, b = np.array([0.3, 0.3, -0.4]), np.array([0.7, 0.3, -0.4])
     points = body.vertices + scene.graph["bodies"][0][:3, 3]
     along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-    outward = (points - a - along[:, None] * (b - a)) / 0.198
+    outward = (points - a - along[:, None] * (b - a)) / 0.2
     assert (body.vertex_normals * outward).sum(axis=1).min() > np.cos(np.radians(4.0))
 
 
@@ -182,7 +182,7 @@ def test_glb_without_a_texture_has_a_colour_or_is_coloured_by_stretch(plain: Pat
 
 
 def test_bodies_are_where_their_poses_say(path: Path) -> None:
-    """A capsule's surface, inset by 2 mm, at the translation of the frame."""
+    """A capsule's surface, in its size, at the translation of the frame."""
     with open_recording(path) as recording:
         bodies = read_bodies(recording)
         points = body_vertices(recording, bodies, 10 / RATE)
@@ -190,7 +190,7 @@ def test_bodies_are_where_their_poses_say(path: Path) -> None:
     rise = np.array([0.0, 0.1 * 10 / RATE, 0.0])
     along = np.clip((points - rise - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
     distance = np.linalg.norm(points - rise - a - along[:, None] * (b - a), axis=1)
-    assert distance == pytest.approx(0.198, abs=1e-9)
+    assert distance == pytest.approx(0.2, abs=1e-9)
 
 
 def test_stretch_is_the_largest_of_a_vertex(path: Path) -> None:

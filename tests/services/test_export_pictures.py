@@ -187,7 +187,7 @@ def test_a_gif_has_its_frames_and_its_pace(path: Path, tmp_path: Path) -> None:
 
 def test_an_mp4_has_its_frames(path: Path, tmp_path: Path) -> None:
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    out = export_animation(path, tmp_path / "a.mp4", (97, 65), 25.0)
+    out = export_animation(path, tmp_path / "a.mp4", (96, 64), 25.0)
     frames, seconds = ffmpeg.count_frames_and_secs(str(out))
     assert frames == 13
     assert seconds == pytest.approx(13 / 25, abs=0.021)
@@ -195,6 +195,19 @@ def test_an_mp4_has_its_frames(path: Path, tmp_path: Path) -> None:
     # Faster than the recording: pictures stand longer, time still runs true.
     out = export_animation(path, tmp_path / "a.mp4", SIZE, 150.0)
     assert ffmpeg.count_frames_and_secs(str(out))[0] == 76
+
+
+@pytest.mark.parametrize("size", ["97x64", "96x65"])
+def test_an_mp4_of_another_size_than_asked_for_is_refused(
+    size: str, path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    film, picture = tmp_path / "a.mp4", tmp_path / "a.png"
+    assert main(["export", str(path), "--mp4", str(film), "--png", str(picture), "--size", size]) == 2
+    said = capsys.readouterr().err
+    assert "error: --size: " in said and "--size 96x64" in said and not (film.exists() or picture.exists())
+    assert main(["export", str(path), "--gif", str(tmp_path / "a.gif"), "--size", size]) == 0
+    with Image.open(tmp_path / "a.gif") as image:
+        assert f"{image.width}x{image.height}" == size
 
 
 def test_without_the_encoder_the_extra_is_named(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,6 +107,7 @@ def test_a_close_camera_fills_the_picture_with_the_cloth_alone(path: Path, more:
         (["--frame", "3", "--rrd", "a.rrd"], "what is to be written has all frames"),
         (["--start", "0.1", "--csv", "a.csv"], "--start: for animations"),
         (["--end", "0.1", "--npz", "a.npz"], "--end: for animations"),
+        (["--end", "0.1", "--csv", "a.csv"], "leave it out: --csv has all frames"),
         (["--fps", "9", "--png", "a.png"], "--fps: for animations"),
         (["--size", "80x60", "--csv", "a.csv"], "--size: for pictures and animations"),
         (["--colour", "stretch", "--obj", "a.obj"], "--colour: for pictures and animations"),

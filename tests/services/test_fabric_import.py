@@ -143,6 +143,27 @@ def test_fast_values_are_read_in_their_units(tmp_path: Path) -> None:
     assert found["warp"] == pytest.approx(4.903325 / 0.005, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("changed", "field", "computed"),
+    [
+        ("B: [11.2, 6.6]\n", "B", "15.7 uN*m, warp"), ("B: [15.0, 10.1]\n", "B", "8.03 uN*m, weft"),
+        ("G: 60\n", "G", "30 N/m"), ("B: [15.7, 8.03]\nG: 24.1\n", "", ""),
+        ("B: [15.7, 8.03]\nG: 23.9\n", "G", "30 N/m"),
+    ],
+)  # fmt: skip
+def test_what_fast_computes_fits_what_it_is_computed_from(
+    tmp_path: Path, changed: str, field: str, computed: str
+) -> None:
+    if field:
+        with pytest.raises(BadInput) as caught:
+            read(tmp_path, FAST + changed)
+        assert caught.value.field == field and computed in caught.value.problem
+        return
+    found = read(tmp_path, FAST + changed)
+    assert (found.fabric["bend_warp"], found.fabric["shear"]) == (pytest.approx(15.7e-6), pytest.approx(24.1))
+    assert "C" in found.how["bend_warp"] and "EB5" in found.how["shear"]
+
+
 @pytest.mark.parametrize("text", [KES, FAST], ids=["KES-F", "FAST"])
 def test_virtual_tests_give_the_sheet_back(tmp_path: Path, text: str) -> None:
     """Within the bar of 2 %, but for rounding."""

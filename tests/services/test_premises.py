@@ -76,7 +76,7 @@ def test_a_service_with_another_scene_is_refused_before_the_first_frame(service:
 
 
 def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def leave(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) -> list[str]:
+    def leave(bus: Bus, services: set[str], loaded: Loaded, resumes: bool, real_time: bool) -> list[str]:
         bus.ask_json("finish/collision", {})
         raise RunFailed("no answer", peer="collision")
 
@@ -167,6 +167,15 @@ def test_services_that_step_go_on_from_a_recording_where_the_run_does(tmp_path: 
     for service in ("simulation", "collision"):
         with pytest.raises(BadInput, match=f"the {service} service starts anew, the run does not"):
             compare(service, anew, own)
+
+
+def test_the_service_that_sets_the_pace_waits_for_the_clock_where_the_run_does(tmp_path: Path) -> None:
+    loaded = scene_file.read(write_scene(tmp_path))
+    own, hurried = premises_of(loaded, False, real_time=True), premises_of(loaded, False)
+    assert compare("recorder", hurried, own) == compare("simulation", own, hurried) == []
+    with pytest.raises(BadInput, match="the simulation service does not wait for the clock") as caught:
+        compare("simulation", hurried, own)
+    assert caught.value.field == "--real-time"
 
 
 def test_long_values_are_cut_short(tmp_path: Path) -> None:

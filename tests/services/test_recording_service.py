@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from live_run import Run
+from live_run import Run, wait_until
 from recorded_sheet import REPORT_TEXT, Item, Sheet, items, metadata
 from scenes import write_scene
 
@@ -35,7 +35,7 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import describe_run
 from nuno.simulation.run import Simulation
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.messages import REPORT, STATE, STATUS, Ack, Header, Topic
+from nuno_schemas.messages import EVENT, REPORT, STATE, STATUS, Ack, Header, Topic
 
 RUN = "waving-run"
 
@@ -164,6 +164,19 @@ def test_what_has_arrived_is_written_however_slow_the_disk_is(
         answer = running.finish(running.publish(sent_items()))
     assert answer["missing"] == {}
     assert answer["complete"]
+
+
+def test_all_is_in_the_file_when_nothing_comes_any_more(tmp_path: Path, loaded: scene_file.Loaded) -> None:
+    """A run that stands still is readable to its last frame after half a second, before it ends."""
+    with recorder(loaded, tmp_path / "a.mcap") as (running, _):
+        sent = running.publish([item for item in sent_items() if not item[0].startswith(EVENT.name)])
+
+        def written() -> bool:
+            with open_recording(part_of(tmp_path / "a.mcap")) as recording:
+                return recording.counts == sent
+
+        wait_until(written, 5.0)
+        running.finish(sent)
 
 
 def test_bad_messages_are_dropped_and_counted(tmp_path: Path, loaded: scene_file.Loaded) -> None:

@@ -37,8 +37,8 @@ class ByHand:
         self.codes: dict[str, int] = {}
 
     def start(self, name: str, *command: str) -> None:
-        line = [*command, str(self.folder / "scene.yaml"), "--run", "r1", "--connect", self.endpoint]
-        line += ["--record", str(self.folder / "r1.mcap")]
+        line = [*command[:2], str(self.folder / "scene.yaml"), "--run", "r1", "--connect", self.endpoint]
+        line += ["--record", str(self.folder / "r1.mcap"), *command[2:]]
 
         def body() -> None:
             self.codes[name] = main(line)
@@ -131,6 +131,62 @@ def test_services_that_are_left_end_with_1_where_the_run_failed(
     by_hand.start("run", "run", "--no-view")
     assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [1, 1, 1]
     assert "failed: the run failed: the simulation service died: the loom" in capsys.readouterr().err
+
+
+def test_a_run_by_the_clock_needs_a_simulation_by_the_clock(
+    by_hand: ByHand, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_hand.serve("recorder", "simulation")
+    by_hand.start("run", "run", "--no-view", "--real-time")
+    assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [2, 1, 1]
+    assert "--real-time: the simulation service does not wait for the clock" in capsys.readouterr().err
+    by_hand.serve("recorder")
+    by_hand.start("simulation", "serve", "simulation", "--real-time")
+    by_hand.start("run", "run", "--no-view", "--real-time")
+    assert [by_hand.code(name) for name in ("run", "recorder", "simulation")] == [0, 0, 0]
+    assert "frames waited for it" in capsys.readouterr().out
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Recordings that a run draws its last frame and its animation of."""
+    drawn = list[Path]()
+    monkeypatch.setattr("nuno.exports.pictures.export_picture", lambda path, *_: drawn.append(path))
+    monkeypatch.setattr("nuno.exports.animations.export_animation", lambda path, target: drawn.append(path) or target)
+    monkeypatch.setattr("nuno.viewer.live.has_screen", lambda: False)
+    return drawn
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_the_recording_of_the_run_is_drawn_and_no_other(there: bool, by_hand: ByHand, drawn: list[Path]) -> None:
+    """The recorder's --record names it; that of the run may name an older recording, or nothing."""
+    other = by_hand.folder / "other.mcap"
+    if there:
+        nuno.run(by_hand.folder / "scene.yaml", record=other)
+    by_hand.serve("recorder", "simulation")
+    by_hand.start("run", "run", "--report", "--record", str(other), "--mp4", str(by_hand.folder / "a.gif"))
+    assert [by_hand.code(name) for name in ("run", "simulation", "recorder")] == [0, 0, 0]
+    assert drawn == [by_hand.folder / "r1.mcap"] * 2
+    assert runs.find_recording(Path("last")) == by_hand.folder / "r1.mcap"
+
+
+def test_a_run_without_its_animation_fails(
+    by_hand: ByHand, drawn: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recorder may be on another host."""
+    monkeypatch.setattr("nuno.runtime.outcome.Outcome.recording", lambda *_: None)
+    by_hand.serve("recorder", "simulation")
+    by_hand.start("run", "run", "--no-view", "--mp4", str(by_hand.folder / "a.gif"))
+    assert [by_hand.code(name) for name in ("run", "simulation", "recorder")] == [1, 0, 0]
+    assert drawn == [] and "no animation: the recording is not here" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", [("--processes",), ("--listen", "tcp/127.0.0.1:0")])
+def test_a_run_of_services_that_wait_starts_none_and_listens_nowhere(
+    option: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(write_scene(tmp_path)), "--connect", "tcp/127.0.0.1:1", *option]) == 2
+    assert f"error: {option[0]}: " in capsys.readouterr().err
 
 
 @pytest.fixture

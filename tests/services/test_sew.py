@@ -163,6 +163,12 @@ REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "written": (("--body", "column.obj", "--scene", "mine.yaml"), "the scene is there already, and has been changed"),
     "fabric": (("--body", "column.obj", "--fabric", "demin"), "'denim'"),
     "edge": (("--body", "column.obj", "--edge", "2 km"), "edge"),
+    "edge of a check": (("--check", "--edge", "1 cm"), "error: --edge: "),
+    "fabric of a check": (("--check", "--fabric", "denm"), "error: --fabric: "),
+    "scene of a check": (("--check", "--scene", "foo.yaml"), "error: --scene: "),
+    "a check is not written": (("--check", "--write"), "error: --write: "),
+    "gather on a body": (("--body", "column.obj", "--gather", "1.01"), "error: --gather: "),
+    "no JSON of a run": (("--body", "column.obj", "--write", "--json"), "error: --json: "),
 }
 
 
@@ -320,6 +326,29 @@ def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names
     files = [one["model"]["file"] for one in written["objects"]] + [written["bodies"][0]["collider"]["file"]]
     assert [loaded.files.resolve(file) for file in files] == [(here / name).resolve() for name in named]
     assert files[2:4] == ["below/tube.json", "other.json"]
+
+
+@pytest.mark.parametrize(
+    ("written", "changed"),
+    [
+        ('fabric: "interlock"', 'fabric: "silk"'), ('edge: "6 cm"', 'edge: "5 cm"'), ('"column.obj"', '"other.obj"'),
+        ('name: "tube-worn"', 'name: "mine"'), ("duration: 6 s", "duration: 7 s"), ("nuno: 1", "nuno: 1\n# mine"),
+    ],
+)  # fmt: skip
+def test_a_scene_with_any_change_is_not_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], written: str, changed: str
+) -> None:
+    """Also with one that `nuno sew` could have written; one without a change is, and the command says so."""
+    flags = "--body", "column.obj", "--edge", "6 cm", "--write"
+    for more, said in ((), False), (("--fabric", "denim"), True), ((), True):
+        assert wear(tmp_path, monkeypatch, *flags, *more) == 0
+        assert ("replaced   tube-worn.yaml" in capsys.readouterr().out) == said
+    scene = tmp_path / "tube-worn.yaml"
+    own = scene.read_text().replace(written, changed)
+    assert own != scene.read_text()
+    scene.write_text(own)
+    assert wear(tmp_path, monkeypatch, *flags) == 2
+    assert scene.read_text() == own and "has been changed" in capsys.readouterr().err
 
 
 def test_layers_are_objects_in_their_order_each_of_its_fabric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,6 +94,12 @@ def test_a_mesh_is_told_whether_it_is_closed_and_in_which_unit(desk: Desk) -> No
     assert rows(large)["unit"].startswith("taken as 1mm") and rows(large)["size"].startswith("1 x ")
     model = yaml.safe_load(Path(make(desk, "large.obj", "cover")).read_text())["bodies"][0]["collider"]
     assert model == {"plugin": "mesh", "file": "large.obj", "scale": "1 mm"}
+    garment = drop(desk, "garment.obj", TETRAHEDRON.replace("1\nf", "340\nf").replace("v 1 ", "v 340 ").encode())
+    assert rows(garment)["unit"].startswith("taken as 1mm")
+    model = yaml.safe_load(Path(make(desk, "garment.obj", "fall")).read_text())["objects"][0]["model"]
+    assert model["scale"] == "1 mm" and abs(model["centre"][1]) < 1.0
+    either = drop(desk, "either.obj", TETRAHEDRON.replace("1\nf", "30\nf").replace("v 1 ", "v 30 ").encode())
+    assert rows(either)["unit"].startswith("taken as metres") and "1cm (0.3 m long) or 1inch" in rows(either)["unit"]
     cloth = drop(desk, "open.obj", TETRAHEDRON.rpartition("f")[0].encode())
     assert "hole" in rows(cloth)["as a body"] and cloth["offers"][0]["name"] == "fall"
     split = drop(desk, "split.obj", TETRAHEDRON.replace("f 1 3 2", "f 1 3 2\nf 1 3 2").encode())

@@ -79,7 +79,7 @@ def test_two_conversions_of_one_run_are_equal(tmp_path: Path) -> None:
 
 
 def test_bodies_stand_where_the_poses_put_them(saved: Path) -> None:
-    """Drawn vertices, moved by rerun's transform, lie on the capsule of the inset radius."""
+    """Drawn vertices, moved by rerun's transform, lie on the capsule."""
     path = "/world/bodies/bar/root"
     vertices = np.array(read(saved, path, "Mesh3D:vertex_positions", static=True)[0])
     turns = read(saved, path, "Transform3D:quaternion")

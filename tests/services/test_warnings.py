@@ -220,6 +220,23 @@ def test_cloth_that_starts_in_a_body_is_told_beside_where_its_frame_is(capsys: p
     assert re.search(r"^WARNING +[1-9][0-9]* of 1,920 vertices start in a body, up to [0-9.]+ mm", low, re.MULTILINE)
 
 
+@pytest.mark.parametrize(("size", "scale", "said"), [
+    (340.0, 1.0, "1mm (0.34 m long)"), (340.0, 1e-3, ""), (19.0, 1.0, ""), (30.0, 1.0, "1cm (0.3 m long) or 1inch"),
+    (400.0, 0.1, "1mm (0.4 m long)"),
+])  # fmt: skip
+def test_a_mesh_that_is_vast_in_metres_is_doubted(
+    size: float, scale: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "top.obj").write_text(f"v 0 0 0\nv {size} 0 0\nv {size} {size} 0\nv 0 {size} 0\nf 1 2 3\nf 1 3 4\n")
+    model = {"plugin": "mesh", "file": "top.obj", "scale": scale, "fabric": "denim"}
+    scene = write_scene(tmp_path, objects=[{"name": "top", "model": model}], solver={"plugin": "implicit_euler"})
+    assert main(["plan", str(scene)]) == 0
+    assert ("top is " in capsys.readouterr().out) == bool(said)
+    result = nuno.run(scene, duration=0.05, record=tmp_path / "run.mcap")
+    doubts = [text for text in result.report["warnings"] if text.startswith("top is ")]
+    assert len(doubts) == bool(said) and all(said in text for text in doubts)
+
+
 def test_a_resumed_runs_report_says_how_its_recording_began(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, path = write_scene(tmp_path, **ball(0.0, 0.031)), tmp_path / "run.mcap"
     assert "start in a body" in told(capsys, "run", str(scene), "--record", str(path), "--no-view")

@@ -16,6 +16,7 @@ import numpy as np
 
 from nuno.formatting import duration
 from nuno.plugin_contract import registry
+from nuno.runtime.consistency import Premises, premises_of
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.solver_selection.cloth import decide
@@ -80,6 +81,7 @@ class Findings:
 
     floors   disagreement of the references by quantity
     own      which points are the scene as it is
+    premises the scene's values by field, in SI units and with all defaults, and the digests of its files
     shown    observables that are plotted; all where none is named
     """
 
@@ -90,6 +92,7 @@ class Findings:
     how: str
     about: Mapping[str, str]
     own: OwnSettings
+    premises: Premises
     shown: Sequence[str] = ()
 
     @property
@@ -323,6 +326,7 @@ def report(found: Findings) -> Report:
     ]
     data = {
         "scene": found.scene,
+        "premises": found.premises,
         "reference": {"how": found.how, "floors": found.floors},
         "horizon": {key: value for key, value in vars(horizon).items() if key != "fades"},
         "points": found.points,
@@ -407,7 +411,7 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
     kept = SweepFile(path, {"scene": digest, "repeats": args.repeats, "versions": versions()}, args.resume, say)
     say(f"at most {duration(args.budget)} for the points, and as much for each run of the reference; --resume goes on "
         f"from {path}")  # fmt: skip
-    problem = pose(loaded)
+    problem, premises = pose(loaded), premises_of(loaded, resumes=False)
     solvers, omitted = choose_solvers(problem, _own(args.solvers, registry.installed(problem.group)))
     solvers, own = add_own(problem, solvers)
     sweep = start_sweep(problem, solvers, say)
@@ -425,4 +429,4 @@ def sweep_scene(loaded: Loaded, args: argparse.Namespace) -> Findings:
         reference=f"{reference.how}; {reference.seconds:.2g} s for both{disturbed}",
     )
     watched = _own(args.observable, problem.observables)
-    return Findings(problem, sweep, floors, horizon, reference.how, about, own, watched)
+    return Findings(problem, sweep, floors, horizon, reference.how, about, own, premises, watched)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nuno.runtime.consistency import NOTHING, Premises
 from nuno_bench import machine, options
 from nuno_bench.precision.sweep import ABOVE, POINT, SolverPoint
 from nuno_bench.report.page import Report, Table, apart, factor, number
@@ -17,6 +18,13 @@ from nuno_schemas.errors import BadInput
 
 SAME_ERROR = 1.01
 """The same solver repeats its errors to the bit; another machine's rounding may move them less than this."""
+CHOSEN = ("solver.", "accuracy", "dye.solver.")
+"""Fields of the scene's own solver, beside which a sweep has all others."""
+HARMLESS = ("version ", "decided", "description", "view.", "record.")
+"""Premises that may differ: versions are what is compared, and the others move nothing."""
+SIZE = "size and duration"
+NAMED = 5
+"""Most premises that a sentence names."""
 HEADINGS = (
     "solver", "setting", "changed", "quantity", "error A", "error B", "B / A", "time A [s]", "time B [s]", "B / A",
 )  # fmt: skip
@@ -24,9 +32,13 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A sweep as it was written: its points by solver and setting, its floors by quantity."""
+    """A sweep as it was written: its points by solver and setting, its floors by quantity.
+
+    premises  the scene's values by field, which older results lack, and its size and duration in words, `SIZE`
+    """
 
     scene: str
+    premises: Premises
     points: Mapping[tuple[str, str], SolverPoint]
     floors: Mapping[str, float]
     about: Mapping[str, str]
@@ -65,12 +77,13 @@ def compare_command(args: argparse.Namespace) -> int:
     first, second = read(args.first), read(args.second)
     if first.scene != second.scene:
         raise BadInput("the results are of two scenes", value=f"{first.scene}, {second.scene}")
+    unlike = check_premises(first, second, args.second)
     changes = compare(first, second)
     if not changes:
         raise BadInput("the results have no point in common", value=f"{args.first}, {args.second}")
     if differing := [change.row() for change in changes if change.changed]:
         print(Table(HEADINGS, differing).text())
-    said = summary(first, second, changes)
+    said = [*summary(first, second, changes), *unlike]
     print("\n".join(said))
     table = Table(HEADINGS, [change.row() for change in changes], "All points that both have.")
     both = {f"{name}, {k}": v for name, one in (("A", first), ("B", second)) for k, v in one.about.items()}
@@ -86,12 +99,35 @@ def read(path: Path) -> SweepResult:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
         points = [POINT.validate_python(point) for point in data["points"]]
         floors = {name: float(floor["l2"]) for name, floor in data["reference"]["floors"].items()}
-        return SweepResult(str(data["scene"]), {point.key: point for point in points}, floors, dict(data["about"]))
+        premises = {**data.get("premises", {}), SIZE: data["about"].get("scene")}
+        by_key = {point.key: point for point in points}
+        return SweepResult(str(data["scene"]), premises, by_key, floors, dict(data["about"]))
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
     except (ValueError, KeyError, TypeError, AttributeError):
         remedy = "give the JSON file that nuno bench precision wrote beside its page"
         raise BadInput("no result of a precision sweep", str(path), remedy=remedy) from None
+
+
+def check_premises(first: SweepResult, second: SweepResult, file: Path) -> list[str]:
+    """Return sentences on what only one scene states, and on different solvers of their own.
+
+    Raises BadInput, with the second result's `file`, for the first field that both state otherwise.
+    """
+    unlike = []
+    for field in {**first.premises, **second.premises}:
+        a, b = first.premises.get(field, NOTHING), second.premises.get(field, NOTHING)
+        if a == b or field.startswith(HARMLESS):
+            continue
+        if NOTHING not in (a, b) and not field.startswith(CHOSEN):
+            problem, limit = "the results are of two scenes", f"{a!r:.60}, as A has it"
+            remedy = "sweep both with the same scene, files, --set and --duration"
+            raise BadInput(problem, str(file), field=field, value=b, limit=limit, remedy=remedy)
+        unlike.append(f"{field} ({a!r:.60} in A, {b!r:.60} in B)")
+    if min(len(first.premises), len(second.premises)) == 1 < len(unlike):
+        return ["One of the results, of an older nuno, lacks the scene's fields: only size and duration were compared."]
+    more = f" and {len(unlike) - NAMED} more" if len(unlike) > NAMED else ""
+    return [f"The scenes differ in {', '.join(unlike[:NAMED])}{more}."] if unlike else []
 
 
 def compare(first: SweepResult, second: SweepResult) -> list[PointChange]:

@@ -184,6 +184,8 @@ PULL, MOST = 5.0 * 0.980665, 500.0 * 0.980665
 """5 and 500 gf/cm [N/m]."""
 AGREE = 0.1
 """Largest relative difference of LT and the same of WT: laboratories round both."""
+COMPUTED = 0.2
+"""Largest relative difference of FAST's B and W g C^3, and of its G and 123 / EB5: C is rounded, and cubed."""
 CURVATURE = 250.0
 """Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
@@ -356,13 +358,35 @@ def _fast(sheet: Sheet) -> None:
                 )  # fmt: skip
     _bend(sheet)
     if "B" in values:
-        sheet.take(("bend_warp", "bend_weft"), values["B"], "measured: B")
+        by_length = tuple(sheet.fabric[name] for name in ("bend_warp", "bend_weft") if name in sheet.fabric)
+        how = f"measured: B{_require_fit('B', 'C', values['B'], by_length, 'W g C^3', 'uN*m')}"
+        sheet.take(("bend_warp", "bend_weft"), values["B"], how)
     if "E5" in values:
         sheet.take(("warp", "weft"), [PULL / e for e in values["E5"]], "measured: E5")
     if "EB5" in values:
         sheet.take(("shear",), (1.23 / values["EB5"][0],), "derived: 123 / EB5")
     if "G" in values:
-        sheet.take(("shear",), values["G"], "measured: G")
+        by_strain = (sheet.fabric["shear"],) if "shear" in sheet.fabric else ()
+        how = f"measured: G{_require_fit('G', 'EB5', values['G'], by_strain, '123 / EB5', 'N/m')}"
+        sheet.take(("shear",), values["G"], how)
+
+
+def _require_fit(
+    name: str, other: str, values: Sequence[float], computed: Sequence[float], formula: str, unit: str
+) -> str:
+    """Return in words that values fit those `computed` from another value by a formula; "" without any. Raises
+    BadInput.
+    """
+    for value, expected, direction in zip(values, computed, ("warp", "weft"), strict=False):
+        if abs(value - expected) > COMPUTED * expected:
+            one = to_si(f"1 {unit}", unit.replace("u", ""))
+            where = f", {direction}" if len(values) > 1 else ""
+            raise BadInput(
+                f"{name} and {other} do not fit: {formula} is {expected / one:.3g} {unit}{where}", field=name,
+                value=f"{value / one:.3g} {unit}{where}", limit=f"within {COMPUTED:.0%}",
+                remedy=f"look at both, or drop one: FAST computes {name} from {other}",
+            )  # fmt: skip
+    return f", which fits {formula}" if computed else ""
 
 
 def _bend(sheet: Sheet) -> None:

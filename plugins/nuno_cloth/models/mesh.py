@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from nuno_cloth.models.placement import (
     Rotation,
     Velocity,
     find_texture,
-    vertices,
 )
 from nuno_cloth.models.triangles import Edges, face_areas, find_edges
 from nuno_cloth.quantities import Scale
@@ -74,7 +73,9 @@ class MeshConfig(Config):
         "seams of a texture need it; STL, which has no shared vertices, is always merged",
     )
     pin: tuple[Pin, ...] = Field(
-        default=(), description="vertex numbers, counted from 0, or boxes of the world {low, high} [m]"
+        default=(),
+        description="vertex numbers of the file, counted from 0, also where it is merged, or boxes of the world "
+        "{low, high} [m]; the vertices of an STL are counted as their places first appear",
     )
     fabric: FabricChoice = Field(default="denim", description=FABRIC)
     tension: Tension = Field(default="auto", description=TENSION)
@@ -90,7 +91,7 @@ class Mesh:
     Config: ClassVar[type[BaseModel]] = MeshConfig
 
     def count(self, config: MeshConfig, files: Files) -> int:
-        return len(read_mesh(files.resolve(config.file), config.merge)[0])
+        return len(read_mesh(files.resolve(config.file), config.merge).points)
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
         """Return the most memory that a run takes [bytes]."""
@@ -99,19 +100,19 @@ class Mesh:
     def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
         """Build the garment. Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
         path = files.resolve(config.file)
-        points, faces, uv = read_mesh(path, config.merge)
+        points, faces, uv, numbers, merged = read_mesh(path, config.merge)
         edges = find_edges(faces)
-        check_mesh(path, points, faces, edges)
+        check_mesh(path, points, faces, edges, numbers)
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
         x = np.ascontiguousarray(turn(matrix, points) * config.scale + np.asarray(config.centre))
         far = ~(np.abs(x) <= FARTHEST).all(axis=1)
         if far.any():
-            where, at = int(np.argmax(far)), x[far][0].tolist()
+            where, at = int(numbers[np.argmax(far)]), x[far][0].tolist()
             limit, remedy = f"{FARTHEST:g} m", "give a smaller `scale`, or mend the file"
             raise BadInput("too far away", str(path), field=f"vertex {where}", value=at, limit=limit, remedy=remedy)
         material = resolve(config.fabric)
         warp = turn(matrix, np.asarray(config.warp))
-        held = pin_mesh(config.pin, x)
+        held = pin_mesh(config.pin, x, numbers if merged is None else merged)
         elements = build_elements(material, x, faces, edges, warp, tension=config.tension, held=held)
         return Fabric(
             name=self.name,
@@ -119,6 +120,7 @@ class Mesh:
             velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
             pinned=held,
             texture=find_texture(config.texture, files),
+            merged=merged,
             **lay_out(path, len(x), faces, uv, config.texture is not None),
             origin=_bending_without_springs(material, edges),
             **elements._asdict(),
@@ -132,17 +134,33 @@ def _bending_without_springs(material: Material | HandSet, edges: Edges) -> dict
     return {"k_bend": material.bending[0]}
 
 
-def read_mesh(path: Path, merge: bool) -> tuple[Float, Int, NDArray[np.float32] | None]:
-    """Read a file's vertices (n, 3), faces (f, 3) and texture coordinates (f, 3, 2) of their corners, or None.
+class ClothMesh(NamedTuple):
+    """A file's triangles, merged or not.
 
-    Raises BadInput.
+    points   (n, 3)     vertices in the file's axes and unit
+    faces    (f, 3)     triangles
+    uv       (f, 3, 2)  texture coordinates of their corners, or None
+    numbers  (n,)       the file's number of each vertex, its first; of an STL, which numbers none, its own
+    merged   (g,)       the vertex of each of the file's numbers, if they were merged, or None
     """
+
+    points: Float
+    faces: Int
+    uv: NDArray[np.float32] | None
+    numbers: Int
+    merged: Int | None
+
+
+def read_mesh(path: Path, merge: bool) -> ClothMesh:
+    """Read a file. Raises BadInput."""
     mesh = load_mesh(path, KINDS)
-    points, faces = mesh.points, mesh.faces
-    if merge or path.suffix.lower() == ".stl":
-        kept, joined = join_vertices(points, faces)
-        points, faces = points[kept], joined[faces].astype(np.int32)
-    return np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int32), mesh.uv
+    points, faces = np.ascontiguousarray(mesh.points), np.ascontiguousarray(mesh.faces, np.int32)
+    stl = path.suffix.lower() == ".stl"
+    if not merge and not stl:
+        return ClothMesh(points, faces, mesh.uv, np.arange(len(points), dtype=np.int32), None)
+    kept, joined = (indices.astype(np.int32) for indices in join_vertices(points, faces))
+    numbers, merged = (np.arange(len(kept), dtype=np.int32), None) if stl else (kept, joined)
+    return ClothMesh(points[kept], joined[faces], mesh.uv, numbers, merged)
 
 
 def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None, printed: bool) -> dict[str, Any]:
@@ -160,27 +178,32 @@ def lay_out(path: Path, number: int, faces: Int, uv: NDArray[np.float32] | None,
     return {"uv": corners.points} if len(corners.points) == number else {"corners": corners}
 
 
-def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
-    """Raise BadInput that names the first bad vertex, face or edge; nothing is mended silently."""
+def check_mesh(path: Path, x: Float, faces: Int, edges: Edges, numbers: Int) -> None:
+    """Raise BadInput that names the first bad vertex, face or edge, by the file's `numbers` (n,) of vertices; nothing
+    is mended silently.
+    """
 
     def refuse(
-        bad: NDArray[np.integer], field: str, shown: Float | Int, problem: str, remedy: str | None = None
+        bad: NDArray[np.integer], field: str, shown: Int | None, problem: str, remedy: str | None = None
     ) -> None:
-        """Raise BadInput for the first of the `bad` numbers, if any, with its row of `shown`."""
+        """Raise BadInput for the first of the `bad` numbers, if any, with its row of `shown`, vertices of triangles or
+        edges, or with the place of the vertex.
+        """
         if bad.size:
             first = int(bad[0])
-            raise BadInput(problem, str(path), field=field.format(first), value=shown[first].tolist(), remedy=remedy)
+            name, value = (numbers[first], x[first]) if shown is None else (first, numbers[shown[first]])
+            raise BadInput(problem, str(path), field=field.format(name), value=value.tolist(), remedy=remedy)
 
-    refuse(np.flatnonzero(~np.isfinite(x).all(axis=1)), "vertex {}", x, "not a finite position")
+    refuse(np.flatnonzero(~np.isfinite(x).all(axis=1)), "vertex {}", None, "not a finite position")
     _, first, count = np.unique(x, axis=0, return_index=True, return_counts=True)
     shared = np.sort(first[count > 1])
     if shared.size:
         merges = len(join_vertices(x, faces)[0]) == len(first)
         remedy = "merge: true" if merges else "move what touches apart: cloth in contact has a distance"
-        refuse(shared, "vertex {}", x, f"{shared.size} places hold several vertices", remedy)
+        refuse(shared, "vertex {}", None, f"{shared.size} places hold several vertices", remedy)
     unused = np.setdiff1d(np.arange(len(x)), faces)
     problem = f"{unused.size} vertices belong to no triangle and would weigh nothing"
-    refuse(unused, "vertex {}", x, problem, "remove them")
+    refuse(unused, "vertex {}", None, problem, "remove them")
     longest = np.square(x[faces] - x[np.roll(faces, 1, axis=1)]).sum(-1).max(1)
     flat = np.flatnonzero(face_areas(x[faces]) <= 1e-9 * longest)
     refuse(flat, "face {}", faces, f"{flat.size} triangles without area", "remove them in a mesh editor")
@@ -190,12 +213,16 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges) -> None:
     refuse(twisted, "edge", edges.pairs, "neighbouring triangles face opposite ways", "make the normals consistent")
 
 
-def pin_mesh(pins: tuple[int | Box, ...], x: Float) -> Bool:
-    """Return which vertices (n,) are pinned; x (n, 3) in the world [m]."""
+def pin_mesh(pins: tuple[int | Box, ...], x: Float, vertices: Int) -> Bool:
+    """Return which vertices (n,) are pinned; x (n, 3) in the world [m], `vertices` (g,) by number. Raises BadInput."""
     pinned = np.zeros(len(x), np.bool_)
     for index, pin in enumerate(pins):
         if isinstance(pin, int):
-            vertices((pin,), len(x), pinned)
+            if not 0 <= pin < len(vertices):
+                limit = f"0 to {len(vertices) - 1}"
+                remedy = "take the file's numbers, counted from 0, or a box: {low: [x, y, z], high: [x, y, z]}"
+                raise BadInput("the file has no such vertex", None, None, f"pin[{index}]", pin, limit, remedy)
+            pinned[vertices[pin]] = True
             continue
         inside = ((x >= np.asarray(pin.low)) & (x <= np.asarray(pin.high))).all(axis=1)
         if not inside.any():

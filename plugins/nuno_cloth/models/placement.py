@@ -111,24 +111,19 @@ def pin_grid(grid: Grid, pins: tuple[PinName | int, ...]) -> Bool:
             pinned[:, [0, -1]] = True
         elif isinstance(pin, str):
             pinned[places[pin]] = True  # type: ignore[index]
-    vertices(pins, grid.number, pinned.reshape(-1))
-    return pinned.reshape(-1)
-
-
-def vertices(pins: tuple[str | int, ...], number: int, pinned: Bool) -> None:
-    """Mark the vertices that are given by number as pinned. Raises BadInput for one that does not exist."""
     for index, pin in enumerate(pins):
         if isinstance(pin, str):
             continue
-        if not 0 <= pin < number:
+        if not 0 <= pin < grid.number:
             raise BadInput(
                 "no such vertex to pin",
                 field=f"pin[{index}]",
                 value=pin,
-                limit=f"0 to {number - 1}",
+                limit=f"0 to {grid.number - 1}",
                 remedy="vertices are numbered row * columns + column",
             )
-        pinned[pin] = True
+        pinned.reshape(-1)[pin] = True
+    return pinned.reshape(-1)
 
 
 def require_bare(worn: Sequence[Fabric], name: str, body: str) -> None:

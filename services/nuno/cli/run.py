@@ -117,7 +117,7 @@ def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(where)
     add_flags(where, {
         "--listen": ("ENDPOINT", "listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)"),
-        "--connect": ("ENDPOINT", "start no service: services started by hand wait at this hub"),
+        "--connect": ("ENDPOINT", "the hub of the services, which are started by hand, or here with --processes"),
         "--run": ("ID", "name of the run (default: scene, time and four random digits)"),
         "--threads": ("N", "most threads for kernels (default: all cores); the result is the same", int),
     })  # fmt: skip
@@ -148,6 +148,10 @@ def _scene(args: argparse.Namespace) -> Iterator[Loaded]:
 
 
 def _run(loaded: Loaded, args: argparse.Namespace) -> int:
+    for option, value in (("--processes", args.processes), ("--listen", args.listen)):
+        if args.connect is not None and value:
+            problem = "--connect starts no service, and listens nowhere"
+            raise BadInput(problem, field=option, value=args.connect, remedy=f"leave {option} or --connect out")
     budget = budget_of(args)
     run = runs.new_id(loaded.scene.name) if args.run is None else runs.check_id(args.run)
     options = _options(args, run)
@@ -164,18 +168,12 @@ def _run(loaded: Loaded, args: argparse.Namespace) -> int:
     files = [path for path in (options.record, options.save, args.mp4, loaded.own_path) if path is not None]
     used = [*files, *map(part_of, files), *loaded.files.used.values()]
     with log.written(run, args.log or default_log, used), contextlib.redirect_stdout(args.words):
-        if options.record is not None and options.record.is_file():
+        if args.connect is None and options.record is not None and options.record.is_file():
             print(f"replaces {options.record} once the new one is whole", flush=True)
         if loaded.scene.undecided:
             print("choosing a solver by trying it on the first frames", flush=True)
         loaded = keep_up(loaded, budget) if args.real_time or loaded.paced else decide(loaded, budget)
-        code = execute(loaded, options, deployment, picture, args.report)
-        if code == 0 and args.mp4 is not None and options.record is not None and options.record.is_file():
-            from nuno.exports.animations import export_animation
-
-            print("drawing the animation", flush=True)
-            print(row("animation", export_animation(options.record, args.mp4)))
-    return code
+        return execute(loaded, options, deployment, picture, args.mp4, args.report)
 
 
 def _options(args: argparse.Namespace, run: str) -> Options:
@@ -204,8 +202,10 @@ def _name_files(options: Options, outcome: Outcome) -> None:
         print(row("rerun file", f"{files['viewer']}  (look: rerun {files['viewer']})"))
 
 
-def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: bool, whole: bool) -> int:
-    """Run, show progress, print the whole or the brief report; return the exit code."""
+def execute(
+    loaded: Loaded, options: Options, deployment: Deployment, picture: bool, mp4: Path | None, whole: bool
+) -> int:
+    """Run, show progress, print the whole or the brief report, draw; return the exit code."""
     started = time.perf_counter()
     with ending_at_once(), ProgressLine(loaded.scene) as progress:
         outcome = supervisor.supervise(
@@ -214,19 +214,31 @@ def execute(loaded: Loaded, options: Options, deployment: Deployment, picture: b
     report = make_report(loaded, outcome)
     show_report(report, sys.stdout, whole)
     _name_files(options, outcome)
-    if picture and outcome.state in ("done", "stopped") and options.record is not None and options.record.exists():
+    # A recorder that was started by hand has its own --record, and may be on another host.
+    recording = None if options.record is None else outcome.recording(options.record)
+    if recording is not None:
+        runs.note_recording(recording)
+    if picture and outcome.state in ("done", "stopped") and recording is not None:
         from nuno.exports.pictures import export_picture
 
-        target = options.record.with_suffix(".png")
+        target = recording.with_suffix(".png")
         print("drawing the last frame", flush=True)  # the first time, this compiles the renderer
-        export_picture(options.record, target)
-        look = f"no screen here; on one with a screen: nuno replay {options.record} --view"
+        export_picture(recording, target)
+        look = f"no screen here; on one with a screen: nuno replay {recording} --view"
         print(row("picture", f"{target}  ({look})"))
     print(row("total", f"{time.perf_counter() - started:.1f} s"), flush=True)  # before the error, in a pipe, too
     keep_page(options.view, outcome.services.get("viewer", {}), outcome.state != "terminated")
     if outcome.problem:
         _print_problem(outcome.problem)
         return 1
+    if mp4 is not None and recording is None:
+        _print_problem(f"no animation: the recording is not here; where it is: nuno export FILE --mp4 {mp4.name}")
+        return 1
+    if mp4 is not None and recording is not None:
+        from nuno.exports.animations import export_animation
+
+        print("drawing the animation", flush=True)
+        print(row("animation", export_animation(recording, mp4)))
     return 0
 
 

@@ -29,6 +29,11 @@ from nuno_schemas.units import to_si
 MANNEQUIN = Path("mannequin")
 """Name of the shipped body in `--body`, unless there is a file of that name."""
 
+WEARING, CHECKING = ("fabric", "edge", "scene", "write"), ("gather", "json")
+"""Options of a pattern on a body, and of a check of patterns."""
+EDGE, GATHER = "2 cm", 1.1
+"""Defaults of `--edge` and `--gather`."""
+
 
 def sew_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -41,7 +46,7 @@ def sew_arguments(parser: argparse.ArgumentParser) -> None:
                    "its size says otherwise; or mannequin: the one that comes with nuno", Path),
         "--motion": ("FILE", "a BVH that the body moves by, with its skin (default: it stands)", Path),
         "--fabric": ("NAME...", "a preset (default: interlock; nuno fabrics lists them); again for each pattern", str),
-        "--edge": ("LENGTH", "of the triangles' sides (default: 2 cm)", str),
+        "--edge": ("LENGTH", f"of the triangles' sides (default: {EDGE})", str),
         "--scene": ("FILE", "the scene that is written and run (default: PATTERN...-worn.yaml, here)", Path),
     })  # fmt: skip
     worn.add_argument("--write", action="store_true", help="write the scene and build it, but do not run it")
@@ -51,10 +56,10 @@ def sew_arguments(parser: argparse.ArgumentParser) -> None:
         help="say what is wrong with it and what looks wrong, and simulate nothing; exit code 2 if it cannot be sewn",
     )  # fmt: skip
     add_flags(
-        checked, {"--gather": ("RATIO", "tell of seams whose edges differ by more than this (default: 1.1)", float)}
+        checked,
+        {"--gather": ("RATIO", f"tell of seams whose edges differ by more than this (default: {GATHER})", float)},
     )
     checked.add_argument("--json", action="store_true", help="the same for a program, as one JSON object a line")
-    parser.set_defaults(gather=1.1, edge="2 cm")
 
 
 def sew_command(args: argparse.Namespace) -> int:
@@ -63,6 +68,12 @@ def sew_command(args: argparse.Namespace) -> int:
     if args.check == (args.body is not None):
         remedy = "nuno sew PATTERN --body body.obj, or nuno sew --check PATTERN..."
         raise BadInput("a pattern is put on a body, or checked", remedy=remedy)
+    others, use = (CHECKING, "--check") if args.body is not None else (WEARING, "--body FILE")
+    for name in others:
+        if (value := getattr(args, name)) not in (None, [], False):
+            remedy = f"leave it out, or take {use} instead"
+            raise BadInput(f"for nuno sew {use} alone", field=f"--{name}", value=value, remedy=remedy)
+    args.edge, args.gather = args.edge or EDGE, GATHER if args.gather is None else args.gather
     return check(args) if args.check else wear(args)
 
 
@@ -85,7 +96,8 @@ def wear(args: argparse.Namespace) -> int:
     _check_edge(args.edge)
     scene = args.scene or Path("-".join(pattern.stem for pattern in args.patterns) + "-worn.yaml")
     names = name_garments([pattern.stem for pattern in args.patterns])
-    if scene.exists() and not is_own(scene.read_text(encoding="utf-8")):
+    before = scene.read_text(encoding="utf-8") if scene.exists() else None
+    if before is not None and not is_own(before, name_garments([scene.stem])[0]):
         remedy = f"nuno run {scene} takes it as it is; --scene FILE writes another"
         raise BadInput("the scene is there already, and has been changed", value=str(scene), remedy=remedy)
     for pattern in args.patterns:
@@ -100,6 +112,8 @@ def wear(args: argparse.Namespace) -> int:
     with replacing(scene) as new:
         text = describe_worn(scene.stem, garments, args.edge, moved.get("body"), moved.get("motion"), flags)
         new.write_text(text, encoding="utf-8")
+    if before not in (None, text):
+        print(f"replaced   {scene}, which was written for other files or options", flush=True)
     command = ["run", str(scene), *(word for root in roots for word in ("--root", str(root)))]
     print(f"scene      {scene}  (change it, and: nuno {shlex.join(command)})", flush=True)
     if args.write:

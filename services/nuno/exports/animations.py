@@ -69,9 +69,9 @@ def export_animation(
     which all take DYED_SECONDS, but no more than RATE.
 
     Moving cloth is painted by `colour` (pictures.py); all else follows the scene and the changes. A GIF's rate is one
-    of GIF_RATES, the nearest where none is asked for; an MP4's sides are rounded down to even. Raises BadInput for
-    another ending, a size, rate or colour out of range, nothing to show, or (MP4) if imageio-ffmpeg is not installed;
-    RunFailed if the encoder fails.
+    of GIF_RATES, the nearest where none is asked for. Raises BadInput for another ending, a size, rate or colour out of
+    range, an MP4's odd side, nothing to show, or (MP4) if imageio-ffmpeg is not installed; RunFailed if the encoder
+    fails.
     """
     encoder, shot = check_animation(path, fps, size), shot or Shot()
     check_colour(colour)
@@ -85,8 +85,7 @@ def export_animation(
             draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
         else:
             rate = _rate(encoder, fps or RATE)
-            width, height = size or SIZE
-            shown = (width, height) if encoder is None else (width // 2 * 2, height // 2 * 2)
+            shown = size or SIZE
             if shot.turn is None:
                 frames = choose_frames(recording, rate, shot.start, shot.end)
                 draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
@@ -136,6 +135,11 @@ def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None 
         limit = f"a GIF's pictures last hundredths of a second: {', '.join(f'{rate:g}' for rate in GIF_RATES)} a second"
         remedy = f"--fps {min(GIF_RATES, key=lambda rate: abs(rate - fps)):g}, or write an .mp4"
         raise BadInput("a GIF cannot have this rate", field="--fps", value=fps, limit=limit, remedy=remedy)
+    if suffix == ".mp4" and size is not None and any(side % 2 for side in size):
+        width, height = size
+        remedy = f"--size {width // 2 * 2}x{height // 2 * 2}, or write a .gif"
+        limit = "an MP4 has an even number of pixels a side"
+        raise BadInput("an MP4 cannot have this size", field="--size", value=size, limit=limit, remedy=remedy)
     check_target(path, suffix)
     if suffix == ".gif":
         return None

@@ -210,7 +210,10 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
         if (value := getattr(asked, name)) not in (None, "auto", ()):
             problem, file = ("for pictures and animations", "png") if name in DRAWN else ("for animations", "mp4")
             flag, value = ("--set", value[0]) if name == "overrides" else (f"--{name}", value)
-            raise BadInput(problem, field=flag, value=value, remedy=f"add --{file} out.{file}, or leave it out")
+            remedy = f"add --{file} out.{file}, or leave it out"
+            if name in ("start", "end") and (whole := next((one for one in WHOLE if getattr(asked, one)), "")):
+                remedy = f"leave it out: --{whole} has all frames"
+            raise BadInput(problem, field=flag, value=value, remedy=remedy)
     if asked.turn and (asked.start is not None or asked.end is not None):
         problem, remedy = "a turn is round one frame", "name it: --frame N"
         raise BadInput(problem, field="--turn", value=asked.turn, remedy=remedy)

@@ -93,7 +93,8 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
         rows += _attachments(simulation, simulation.geometry, simulation.poses)
         for name, sides in find_sizes(simulation.geometry, simulation.poses).items():
             rows.append(("bodies", "{}: {:.3g} x {:.3g} x {:.3g} m (x, y, z) at the start".format(name, *sides)))
-    doubts = start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
+    doubts = cloth.size_warnings(loaded, simulation.pieces, simulation.state.x)
+    doubts += start_warnings(simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses)
     rows += [("bodies", note) for note in simulation.body_notes] + [("WARNING", text) for text in doubts]
     rows += _texture(simulation)
     seconds = simulation.time_frame()  # this moves the cloth

@@ -11,7 +11,7 @@ from nuno.bus.messages import ALL, Inbox, Message, Query
 from nuno.process import SIGNALS
 from nuno.recording.reader import END, Recording, copy_until, open_recording
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
-from nuno.runtime.service import Context, each_message
+from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.scene.provenance import CHANGE_RESULTS, assets, describe_run
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import ACK, FRAMES, REPORT, Header
@@ -48,7 +48,7 @@ def main(context: Context) -> None:
             raise
     recorder = Recorder(context, inbox, writer)
     try:
-        query = each_message(context, inbox, recorder.handle)
+        query = each_message(context, inbox, recorder.handle, between=lambda: min(LOOK_SECONDS, writer.flush_due()))
         answer = {} if query.json().get("discard") else recorder.finish(query)
     except (RunFailed, KeyboardInterrupt):
         if not writer.closed:

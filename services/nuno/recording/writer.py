@@ -156,6 +156,21 @@ class RecordingWriter:
         self.bytes += len(payload)
         self.seconds += time.perf_counter() - start
 
+    def flush_due(self) -> float:
+        """Flush messages after half a second of wall time; return how long they may still wait [s], inf for none.
+
+        Raises RunFailed when the disk is full.
+        """
+        if self._file.pending:
+            left = self._flushed + FLUSH_SECONDS - time.monotonic()
+            if left > 0.0:
+                return left
+            try:
+                self._flush()
+            except OSError as error:
+                raise self._failure(error) from None
+        return math.inf
+
     def finish(self, metadata: dict[str, dict[str, str]], whole: bool = True) -> Path:
         """Write closing metadata and the index, make the file durable, and rename it.
 

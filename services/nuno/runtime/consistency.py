@@ -32,10 +32,11 @@ REMEDY = "give its host the same scene and files, and each service the same --se
 Premises = dict[str, Any]
 """Inputs of one service: each validated value of its scene, in SI units and with all defaults, by its field;
 `file NAME`, the sha256 of a file of the scene; `version NAME`, of a package or of a plugin of the scene;
-whether it `resumes`; and whether solver and step are `decided`, which not every service needs. All are JSON-able."""
+whether it `resumes`; the service whose frames wait for the `clock`, "" for none; and whether solver and step are
+`decided`, which not every service needs. All are JSON-able."""
 
 
-def premises_of(loaded: Loaded, resumes: bool) -> Premises:
+def premises_of(loaded: Loaded, resumes: bool, real_time: bool = False) -> Premises:
     """Return the premises of a service with this scene. Raises BadInput for a file that has changed, or is gone."""
     scene = loaded.scene.model_dump(mode="json")
     for chosen in loaded.chosen:
@@ -44,6 +45,7 @@ def premises_of(loaded: Loaded, resumes: bool) -> Premises:
         item_at(scene, place).update(chosen.config.model_dump(mode="json"))
     packages = {name: version for name, version in versions().items() if name in CHANGE_RESULTS}
     premises = leaves(scene) | {"decided": not loaded.scene.undecided, "resumes": resumes}
+    premises["clock"] = ("simulation" if loaded.scene.moves else "dye") if real_time else ""
     premises |= {f"version {name}": version for name, version in (packages | plugins(loaded)).items()}
     for name, path in assets(loaded).items():
         try:
@@ -67,27 +69,27 @@ def leaves(value: object, field: str = "") -> Premises:
     return {name: leaf for inner, item in items for name, leaf in leaves(item, inner).items()}
 
 
-def offer_premises(bus: Bus, loaded: Loaded, resumes: bool) -> None:
+def offer_premises(bus: Bus, loaded: Loaded, resumes: bool, real_time: bool) -> None:
     """Answer queries for the premises, in a thread of the session; files are read only for a query."""
     key = bus.key(f"{PREMISES}/{bus.service}")
 
     def answer(query: zenoh.Query) -> None:
         request = Query(PREMISES, key, query)
         try:
-            request.answer_json(premises_of(loaded, resumes))
+            request.answer_json(premises_of(loaded, resumes, real_time))
         except BadInput as error:
             request.answer_json({"problem": str(error)})
 
     bus.offers.append(bus.session.declare_queryable(key, answer))
 
 
-def check_premises(bus: Bus, services: set[str], loaded: Loaded, resumes: bool) -> list[str]:
+def check_premises(bus: Bus, services: set[str], loaded: Loaded, resumes: bool, real_time: bool) -> list[str]:
     """Check that each service has the same premises as `loaded`; return notes on different versions.
 
     Raises BadInput for another scene or file, RunFailed, with the service as its peer, where one does not answer.
     """
     replies = {name: bus.ask_ahead(f"{PREMISES}/{name}", timeout=PATIENCE) for name in sorted(services)}
-    ours = json.loads(json.dumps(premises_of(loaded, resumes)))  # in the form of the replies
+    ours = json.loads(json.dumps(premises_of(loaded, resumes, real_time)))  # in the form of the replies
     notes = []
     for name, reply in replies.items():
         try:
@@ -121,7 +123,10 @@ def compare(service: str, theirs: Premises, ours: Premises) -> list[str]:
             problem = f"the {service} service {'goes on from a recording' if there else 'starts anew'}"
             remedy = "give the run and its simulation, dye and recorder the same --resume"
             raise BadInput(f"{problem}, the run does not", field="--resume", remedy=remedy)
-        elif field != "resumes" and not field.startswith(choosing):
+        elif field == "clock" and service == here:
+            problem, remedy = f"the {service} service does not wait for the clock", "give it the same --real-time"
+            raise BadInput(problem, field="--real-time", remedy=remedy)
+        elif field not in ("resumes", "clock") and not field.startswith(choosing):
             problem, limit = f"the {service} service has read another scene", f"{here!r:.60}, as the run has it"
             raise BadInput(problem, field=field, value=there, limit=limit, remedy=REMEDY)
     return notes

@@ -44,7 +44,7 @@ class Clock:
         """Wait until the frame that began at a wall time [s] is due; log a warning if the run falls behind."""
         driver, interval = self._driver, 1.0 / self._driver.scene.frame_rate
         if self._origin is None:  # the first is due an interval after it was begun
-            self._origin = began - (driver.stepper.t - interval)
+            self._origin = began - driver.paused_seconds - (driver.stepper.t - interval)
         self.frames += 1
         behind = -self._left()
         self.most = max(self.most, behind)
@@ -116,6 +116,8 @@ class Driver(ABC):
         self.acked = dict.fromkeys(() if follows else context.options.must_see, -1)
         self.totals: dict[str, int] = {}
         self.message, self.begin, self.paused_seconds = "", stepper.t, 0.0
+        self.held: float | None = None
+        """Wall time since which all services are ready and the run waits before its first frame [s]."""
         self.clock = Clock(self) if (context.options.real_time or context.loaded.paced) and not follows else None
         self.inbox = Inbox(context.bus, [follows or ack_topic("*")], on_query=self.watchdog.note_query)
         self.inbox.answer(f"{CONTROL}/{context.bus.service}" if follows else CONTROL)
@@ -221,7 +223,9 @@ class Driver(ABC):
         before, change = self.state, {}
         if self.follows and action not in OF_FOLLOWERS:
             return {"ok": False, "error": f"{self.context.bus.service} follows; known: {', '.join(OF_FOLLOWERS)}"}
-        if action in STATES:
+        if action == "start" and request.get("paused"):
+            self.held = time.perf_counter()
+        elif action in STATES:
             self.state, self.until = STATES[action], self.until if action == "start" else None
         elif action == "step":
             frames = request.get("frames", 1)
@@ -261,15 +265,27 @@ class Driver(ABC):
         field = self.stepper.add(item)
         return {"field": field, "old": None, "new": self.stepper.loaded.value(field)}
 
+    def repeat_changes(self) -> None:
+        """Make the changes that the resumed recording has in the present frame, and record them again; warn of one that
+        is refused, which other changes since the checkpoint may have made impossible.
+        """
+        for event in self.stepper.take_due():
+            answer = self.control({"action": event.text, "item": event.args.get("item")})
+            if not answer["ok"]:
+                text = f"a recorded change is not made again: {answer['error']}"
+                self.context.event("warning", text, self.stepper.frame, self.stepper.t)
+
     def serve(self) -> None:
         """Declare the service alive, wait for the start, step all frames, reply to the query for the end."""
         with self.context.bus.alive():
             while self.state == "paused" and self.finish is None and not self.due:
                 self.listen(0.5)
-            begin, ended = time.perf_counter(), "failed"
+            now, ended = time.perf_counter(), "failed"
+            begin = now if self.held is None else self.held
+            self.paused_seconds = now - begin
             if self.finish is None:
                 self.publish_constant()
-                self.publish(self.stepper.present(), show=True)
+                self.publish(self.stepper.first(), show=True)
                 ended = self.follow() if self.follows else self.run()
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
@@ -344,7 +360,10 @@ class Driver(ABC):
         return "done"
 
     def one_frame(self) -> str:
-        """Step and publish one frame, wait for lockstep subscribers that are behind; return its status."""
+        """Step and publish one frame, after its recorded changes; wait for lockstep subscribers that are behind; return
+        its status.
+        """
+        self.repeat_changes()
         report = self.step_frame().report
         if report.status == LEFT:
             return LEFT

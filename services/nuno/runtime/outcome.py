@@ -40,9 +40,11 @@ class Outcome:
         return f"{self.state}: {self.error or self.summary.get('message') or 'positions are no longer finite'}"
 
     def recording(self, target: Path) -> Path | None:
-        """Return the run's recording, finished or not; None without one. The recorder names it, unless it has died."""
+        """Return the run's recording, finished or not, as the recorder names it or at `target`; None if it is at
+        neither: the recorder may be on another host.
+        """
         file = self.services.get("recorder", {}).get("file")
-        for path in (Path(file),) if file else (part_of(target), target):
+        for path in (*([Path(file)] if file else []), part_of(target), target):
             with suppress(BadInput), Recording(path, scan=False) as recording:
                 if recording.metadata["run"].get("id") == self.run:
                     return path

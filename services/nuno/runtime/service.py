@@ -198,7 +198,7 @@ def run_service(
     """
     bus = Bus(session, run, name)
     offer_health(bus)
-    offer_premises(bus, loaded, options.resume is not None)
+    offer_premises(bus, loaded, options.resume is not None, options.real_time)
     context = Context(loaded, bus, options, stop or threading.Event())
     try:
         importlib.import_module(MODULES[name]).main(context)

@@ -9,8 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -80,6 +81,10 @@ class Stepper(ABC):
     """(1,) nonzero tells the solver to abandon its frame, as in nuno_schemas.system.System"""
     steered: tuple[str, ...] = ()
     """Changes of the scene by control requests so far, in words."""
+    ahead: tuple[Event, ...] = ()
+    """Recorded changes of the scene that a resumed or repeated run is still to make, each at its frame, in order."""
+    resumed: Mapping[str, Any] = MappingProxyType({})
+    """Recorded status of the frame that the run resumes from; empty for one from the start."""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
 
@@ -104,6 +109,12 @@ class Stepper(ABC):
     @abstractmethod
     def present(self) -> Stepped:
         """Return the present frame, without a step; compiles the kernels of a step."""
+
+    def first(self) -> Stepped:
+        """Return the present frame as a run begins with it: a resumed one with the steps that the frame has taken."""
+        frame, told = self.present(), self.resumed
+        report = replace(frame.report, **{name: told[name] for name in ("steps", "counts") if name in told})
+        return replace(frame, report=report, seconds=told.get("step_seconds", frame.seconds))
 
     @abstractmethod
     def about(self) -> str:
@@ -167,6 +178,12 @@ class Stepper(ABC):
     def holds(self) -> str:
         """Return what delays the present frame, in words; called while it is stepped."""
         return ""
+
+    def take_due(self) -> list[Event]:
+        """Return the recorded changes of the present frame, each once, in order."""
+        due = [event for event in self.ahead if event.frame == self.frame]
+        self.ahead = tuple(event for event in self.ahead if event.frame != self.frame)
+        return due
 
     def check_time(self, point: Checkpoint) -> None:
         """Raise BadInput for a checkpoint whose time or step no frame of this scene has."""
@@ -285,10 +302,14 @@ def changes_of(recording: Recording, service: str) -> list[Event]:
 
 
 def take_up(stepper: Stepper, recording: Recording, point: Checkpoint) -> None:
-    """Bring a new stepper to a checkpoint of its scene's recording. Raises BadInput where it does not fit."""
-    changes = [event for event in changes_of(recording, stepper.service) if event.frame <= point.frame]
-    stepper.resume(point, changes)
-    stepper.steered = tuple(describe_changes(changes))
+    """Bring a new stepper to a checkpoint of its scene's recording, with the changes after it `ahead`. Raises BadInput
+    where it does not fit.
+    """
+    changes = changes_of(recording, stepper.service)
+    made = [event for event in changes if event.frame <= point.frame]
+    stepper.resume(point, made)
+    stepper.steered = tuple(describe_changes(made))
+    stepper.ahead = tuple(event for event in changes if event.frame > point.frame)
 
 
 def resume(stepper: Stepper, path: Path) -> None:
@@ -303,6 +324,9 @@ def resume(stepper: Stepper, path: Path) -> None:
             problem, remedy = "the last checkpoint is not finite: its run diverged", "run its scene with a shorter step"
             raise BadInput(problem, str(path), value=f"frame {point.frame}", remedy=remedy)
         take_up(stepper, recording, point)
+        status = recording.last(stepper.status.name, point.t)
+        said = {} if status is None else recording.said(status)
+        stepper.resumed = said if said.get("frame") == point.frame else {}
 
 
 RECORDED = "resume with the plugins that it was recorded with (nuno info names their versions), or run the scene anew"
@@ -333,23 +357,19 @@ class Resimulation:
     def __init__(self, recording: Recording, stepper: Stepper, start: Recorded | None = None) -> None:
         """Begin at a checkpoint's message, by default at the scene's start. Raises BadInput."""
         self.stepper = stepper
-        self.changes = changes_of(recording, stepper.service)
-        """Changes that are not applied yet."""
+        stepper.ahead = tuple(changes_of(recording, stepper.service))
         if start is not None:
-            point = recording.checkpoint(start)
-            take_up(stepper, recording, point)
-            self.changes = [event for event in self.changes if event.frame > point.frame]
+            take_up(stepper, recording, recording.checkpoint(start))
         stepper.present()
 
     @property
     def changing(self) -> bool:
         """Whether changes of the present frame are not applied yet."""
-        return any(event.frame == self.stepper.frame for event in self.changes)
+        return any(event.frame == self.stepper.frame for event in self.stepper.ahead)
 
     def change(self) -> None:
         """Apply the changes of the present frame, each once, in order."""
-        for event in [event for event in self.changes if event.frame == self.stepper.frame]:
-            self.changes.remove(event)
+        for event in self.stepper.take_due():
             apply = self.stepper.set if event.text == "set" else self.stepper.add
             apply(str(event.args["item"]))
 

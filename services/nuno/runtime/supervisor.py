@@ -165,7 +165,8 @@ class Supervisor:
         for services in (set(self.needed), self.dispensable):
             try:
                 alive = services & self.watch.alive()
-                notes = check_premises(self.bus, alive, self.loaded, self.options.resume is not None)
+                resumes, real_time = self.options.resume is not None, self.options.real_time
+                notes = check_premises(self.bus, alive, self.loaded, resumes, real_time)
             except RunFailed as error:
                 self._hear({error.peer})
                 if broken := self.cut_off():
@@ -231,10 +232,9 @@ class Supervisor:
 
     def follow(self) -> str:
         """Let the run go to its end; return the error that ended it early, or ""."""
+        self.bus.ask_json("control", {"action": "start", "paused": self.paused})
         if self.paused:
             self.say(f"paused before its first frame; to go on: nuno control {self.run} resume")
-        else:
-            self.bus.ask_json("control", {"action": "start"})
         while self.ended is None:
             self._drain(timeout=0.2)
             if self.progress is not None:
@@ -358,7 +358,7 @@ class Deployment:
     listen: str | None = None
     """Endpoint to listen on; None chooses a free port on loopback."""
     connect: str | None = None
-    """Endpoint of a hub with services started by hand; this process starts none."""
+    """Endpoint of a hub with services started by hand, or with `processes` here."""
     run: str | None = None
     config: str | None = None
     """zenoh configuration file (TLS, access control)."""
@@ -473,7 +473,8 @@ def _lost(supervisor: Supervisor, answers: dict[str, dict[str, Any]]) -> list[st
     kept = {"recorder": supervisor.options.record, "viewer": supervisor.options.save}
     for name, path in kept.items():
         if path is not None and (missing := answers.get(name, {}).get("missing")):
-            lost.append(f"{path} is not whole: it lacks {counted(missing)}")
+            written = answers[name].get("file", str(path)).removesuffix(".part")
+            lost.append(f"{written} is not whole: it lacks {counted(missing)}")
     if supervisor.options.save is not None:
         words = f"{supervisor.options.save} is not whole"
         lost += [f"{words}: the {name} service died: {why}" for name, why in supervisor.without.items()]

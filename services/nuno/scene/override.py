@@ -16,6 +16,8 @@ from nuno_schemas.scene import Scene
 
 PRESETS = ("fabric", "dyes")
 """Fields whose value may be a preset's name, short for {preset: NAME}."""
+SETTABLE = ("gravity", "damping", "forces")
+"""Fields that `nuno control RUN set` may change while a run goes on."""
 DIGITS = 9
 """Most digits of an index into a list."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from nuno.process import scratch
 from nuno.recording.reader import END, NOTHING, Recording, open_recording, recorded_poses, settled_cloth, shortcoming
 from nuno.recording.writer import topic_of
 from nuno.scene import scene_file
+from nuno.scene.override import SETTABLE, parts_of
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.messages import FRAMES
@@ -64,17 +66,16 @@ def recorded_sizes(recording: Recording) -> dict[str, int]:
 def resumed_scene(path: Path, overrides: Sequence[str]) -> Iterator[tuple[Loaded, str]]:
     """Load the scene of a recording to resume it; yield it and a text about it. Raises BadInput for a fixed field."""
     for item in overrides:
-        field = item.partition("=")[0].split(".")[0]
+        field = parts_of(item.partition("=")[0])[0]
         if field not in Scene.model_fields:
             raise BadInput("no such field", "--set", field=field, remedy=nearest(field, RESUMABLE))
         if field not in RESUMABLE:
-            raise BadInput(
-                "this field cannot change when a run goes on from a checkpoint",
-                "--set",
-                value=item,
-                limit=", ".join(RESUMABLE),
-                remedy="change the others while it runs: nuno control last set ...",
-            )
+            problem, limit = "this field cannot change when a run goes on from a checkpoint", ", ".join(RESUMABLE)
+            export = f"nuno export {shlex.quote(str(path))} --scene own.yaml"
+            remedy = f"run its scene anew: {export}; nuno run own.yaml --set ..."
+            if field in SETTABLE:
+                remedy = f"change it while the run goes on: nuno control last set {shlex.quote(item)}"
+            raise BadInput(problem, "--set", field=field, value=item, limit=limit, remedy=remedy)
     with open_recording(path) as recording:
         if recording.damage and END in recording.metadata:
             remedy = "take another copy; nuno replay, export and verify read its frames"

@@ -308,10 +308,13 @@ def name_right_place(data: Any) -> Iterator[None]:
 
 
 def belongs(name: str, place: str, data: Any) -> list[str]:
-    """Return the parts of a scene nearest to a place that have a field of this name; [] if there are many."""
+    """Return the parts of a scene nearest to a place that have a field of this name; [] if there are many.
+
+    Parts that the scene lacks, as dye, are named only for its own fields: those of another part are not meant for them.
+    """
     distances: dict[str, int] = {}
     here = place.split(".") if place else []
-    for path, fields in _nested_parts((Scene,), data if isinstance(data, dict) else {}, ()):
+    for path, fields in _nested_parts((Scene,), data if isinstance(data, dict) else {}, (), not here):
         sibling = [re.sub(r"\[\d+\]", "[]", text) for text in (dotted(path), place)]  # of a list: it has its own
         if name in fields and dotted(path) != place and sibling[0] != sibling[1]:
             parts = dotted(path).split(".") if path else []
@@ -322,9 +325,9 @@ def belongs(name: str, place: str, data: Any) -> list[str]:
 
 
 def _nested_parts(
-    models: tuple[type[BaseModel], ...], data: dict[str, Any], path: FieldPath
+    models: tuple[type[BaseModel], ...], data: dict[str, Any], path: FieldPath, absent: bool
 ) -> Iterator[tuple[FieldPath, set[str]]]:
-    """Yield the path of each mapping that a scene has, or could have, and its possible fields."""
+    """Yield the path of each mapping that a scene has, or with `absent` could have, and its possible fields."""
     fields = {name: (model, field) for model in models for name, field in model.model_fields.items()}
     yield path, set(fields)
     if len(path) >= DEEPEST:
@@ -336,9 +339,11 @@ def _nested_parts(
         for number, item in items:
             inner = (*path, name) if number is None else (*path, name, number)
             if group and isinstance(item, dict):
-                yield from _nested_parts((*models_inside, *_config_of(group, item)), item, inner)
+                yield from _nested_parts((*models_inside, *_config_of(group, item)), item, inner, absent)
+            elif item is None and information.get_default(call_default_factory=True) is None and not absent:
+                continue
             elif models_inside and not group and isinstance(item, dict | None):
-                yield from _nested_parts(tuple(models_inside), item or {}, inner)
+                yield from _nested_parts(tuple(models_inside), item or {}, inner, absent)
 
 
 def _config_of(group: str, choice: dict[str, Any]) -> list[type[BaseModel]]:

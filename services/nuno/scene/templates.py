@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import json
 import re
 import shutil
@@ -39,6 +40,10 @@ COARSE = 0.02
 """Sides of triangles of the coarse start [m], for garments with shorter ones."""
 COLOURS = "#5b84b8", "#b8705b", "#6f9b63", "#8d6fa8", "#b89b4f"
 """Colours of garments in turn, the innermost first."""
+
+
+MARK = "# nuno sew replaces this scene only if nothing in it has been changed: "
+"""Begins the last line of a scene of patterns on a body; its digest follows."""
 
 
 class Garment(NamedTuple):
@@ -103,7 +108,8 @@ def describe_worn(
     scale, mend = f", scale: {flags[0]}" if flags[0] else "", ", mend: true" if flags[1] else ""
     of_body = f"file: {json.dumps(body)}{scale}{mend}" if body else PERSON
     values = {"name": name_garments([name])[0], "garments": garments, "body": of_body, "motion": motion}
-    return _template().render(values, edge=edge, coarse=coarse, colours=COLOURS)
+    text = _template().render(values, edge=edge, coarse=coarse, colours=COLOURS)
+    return f"{text}{MARK}{_digest(text)}\n"
 
 
 @cache
@@ -114,17 +120,16 @@ def _template() -> jinja2.Template:
     return environment.from_string(Path(__file__).with_suffix(".yaml.jinja").read_text(encoding="utf-8"))
 
 
-def is_own(text: str) -> bool:
-    """Return whether a scene was written by this module, with any flags, and is unchanged: it may be replaced."""
-    try:
-        data, _ = yaml_lines.parse(text, "")
-        objects, (wearer,) = data["objects"], data["bodies"]
-        garments = [Garment(item["name"], item["model"]["file"], item["model"]["fabric"]) for item in objects]
-        body, motion, edge = wearer["collider"], wearer.get("motion", {}).get("file"), objects[0]["model"]["edge"]
-        flags = body.get("scale", ""), body.get("mend", False)
-        return text == describe_worn(data["name"], garments, edge, body.get("file"), motion, flags)
-    except (BadInput, LookupError, TypeError, ValueError, AttributeError):
-        return False
+def is_own(text: str, name: str) -> bool:
+    """Return whether a scene of this name is as `describe_worn` wrote it, for any arguments: it may be replaced."""
+    written, _, digest = text.rpartition(MARK)
+    return digest == f"{_digest(written)}\n" and f"\nname: {json.dumps(name)}\n" in written
+
+
+def _digest(text: str) -> str:
+    """Return a digest of a scene but for its name, which differs where the studio writes the same scene."""
+    unnamed = re.sub("(?m)^name: .*$", "", text, count=1)
+    return hashlib.blake2b(unnamed.encode(), digest_size=8).hexdigest()
 
 
 def _is_shorter(length: str, than: float) -> bool:

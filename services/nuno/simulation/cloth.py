@@ -17,7 +17,7 @@ from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import with_doubts
 from nuno.simulation.start_checks import check_wearer, check_worn
-from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses, rotation_matrices
+from nuno_schemas.bodies import OF_TRIANGLES, SKIN, Geometry, Poses, rotation_matrices, units_for
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import (
     Bending,
@@ -180,6 +180,23 @@ def place_pieces(loaded: Loaded, fabrics: list[Fabric]) -> list[Piece]:
     stops = np.cumsum([fabric.number for fabric in fabrics]).tolist()
     each = zip(loaded.scene.objects, fabrics, stops, strict=True)
     return [Piece(spec.name, stop - f.number, stop, f.texture, spec.colour) for spec, f, stop in each]
+
+
+VAST = 20.0
+"""Size of a mesh from which another unit of its file is likelier [m]."""
+
+
+def size_warnings(loaded: Loaded, pieces: Sequence[Piece], x: Float) -> list[str]:
+    """Return warnings of meshes, of all cloth at x (n, 3) [m], that are far too large for cloth in metres."""
+    warnings = []
+    for model, piece in zip(loaded.models, pieces, strict=True):
+        size = float(np.ptp(x[piece.start : piece.stop], axis=0).max(initial=0.0))
+        scale = getattr(model.config, "scale", None)
+        if scale is not None and size > VAST:
+            units = " or ".join(f"{unit} ({long:.3g} m long)" for unit, long in units_for(size / scale).items())
+            remedy = f": is its file in {units}? State it as the model's `scale`" if units else ""
+            warnings.append(f"{piece.name} is {size:.3g} m long{remedy}")
+    return warnings
 
 
 def build_fabrics(

@@ -93,6 +93,8 @@ def renumber(fabric: Fabric, numbers: Int | None) -> Fabric:
         parts["uv"] = fabric.uv[numbers]
     if fabric.corners is not None:
         parts["corners"] = replace(fabric.corners, vertex=place[fabric.corners.vertex])
+    if fabric.merged is not None:
+        parts["merged"] = place[fabric.merged]
     if fabric.cells is not None:
         parts["cells"] = place[fabric.cells]
     if fabric.springs is not None:

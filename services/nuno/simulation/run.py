@@ -24,7 +24,7 @@ from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.runtime.stepper import Stepped, Stepper, copy_into, fitting, hash_of
 from nuno.scene.chosen_plugins import Chosen
-from nuno.scene.override import apply_override, overridden, parts_of
+from nuno.scene.override import SETTABLE, apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, coarser, load
 from nuno.scene.step import choose_step, find_limit
 from nuno.simulation import cloth
@@ -52,8 +52,6 @@ from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.plugin import Rested
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 
-SETTABLE = ("gravity", "damping", "forces")
-"""Fields that `set` may change while a run goes on."""
 RELAXATION = "relaxation"
 """Name of the array `Relaxation.memory` in the solver's memory."""
 ENERGY = "energy"
@@ -467,7 +465,8 @@ class Simulation(Stepper):
             with contextlib.suppress(BadInput):
                 trial._alter(names.index(applied.object or names[0]), chosen)
                 trial.measure(self.poses)
-        if self.loaded.live and (free := np.flatnonzero(~self.parts()[0].pinned)).size:
+        first = self.parts()[0] if self.loaded.live else None
+        if first is not None and (free := np.flatnonzero(~first.pinned[first.named()])).size:
             trial = copy(self)
             with contextlib.suppress(BadInput):
                 trial.add(f"attach: {{body: {json.dumps(self.loaded.live[0])}, vertices: [{free[0]}]}}")

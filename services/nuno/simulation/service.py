@@ -22,6 +22,7 @@ from nuno.recording.reader import SETTLED, Recording, before_checkpoint, open_re
 from nuno.runtime.driver import CONTROL, WINDOW, Driver
 from nuno.runtime.service import Context, FrameWatchdog
 from nuno.runtime.stepper import RECORDED, Stepped, require_recorded, resume
+from nuno.simulation.cloth import size_warnings
 from nuno.simulation.operations import name_of
 from nuno.simulation.run import Simulation
 from nuno.simulation.start_checks import start_warnings
@@ -134,7 +135,8 @@ class ClothDriver(Driver):
             simulation.find_poses = self.next_poses
         if simulation.frame == 0:
             bodies = simulation.geometry, simulation.poses
-            self.warnings = start_warnings(simulation.fabric, simulation.state.x, *bodies)
+            self.warnings = size_warnings(simulation.loaded, simulation.pieces, simulation.state.x)
+            self.warnings += start_warnings(simulation.fabric, simulation.state.x, *bodies)
 
     def control(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out a control request; an added supply of dye is passed to the dye service."""

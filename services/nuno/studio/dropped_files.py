@@ -26,7 +26,7 @@ from nuno.scene.templates import build_body, import_sheet, in_units
 from nuno.studio import scenes
 from nuno.studio.scenes import MARK, read_text
 from nuno.studio.server import describe
-from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of
+from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of, units_for
 from nuno_schemas.colour import as_rgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
@@ -117,9 +117,10 @@ def _mesh(path: Path) -> Seen:
     if not len(x):
         return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes])
     longest = float(np.ptp(x, axis=0).max())
-    person = unit_of(longest) or "1m"
+    person, fits = unit_of(longest) or "1m", units_for(longest) if longest > LARGEST else {}
+    only = next(iter(fits)) if len(fits) == 1 else "1m"
     # A mesh of a plausible size in metres may be a ball as well as a person.
-    unit = "1m" if SMALLEST <= longest <= LARGEST else person
+    unit = "1m" if SMALLEST <= longest <= LARGEST else person if person != "1m" else only
     size = np.ptp(x, axis=0) * UNITS[unit]
     low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
     rows = [
@@ -130,6 +131,9 @@ def _mesh(path: Path) -> Seen:
         rows.append(("unit", f"taken as {unit}: in metres it would be {longest:.3g} m long"))
     elif person != "1m":
         rows.append(("unit", f"taken as metres: a person if it were in {person}, {longest * UNITS[person]:.3g} m long"))
+    elif fits:
+        lengths = " or ".join(f"{one} ({long:.3g} m long)" for one, long in fits.items())
+        rows.append(("unit", f"taken as metres: it is likelier in {lengths}; write it as the `scale` of the scene"))
     corners = tuple(map(float, low)), tuple(map(float, high))
     return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes], shape is not None, is_cloth,
                 any("passes through itself" in note for note in notes), shape is not None and fault is not None,
