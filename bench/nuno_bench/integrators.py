@@ -120,7 +120,8 @@ def run_experiment(
 ) -> list[Trace]:
     """All integrators with split and unsplit bones. Raises BadInput for a scene that cannot be run.
 
-    Penalty contact is the paper's, without a margin, unless the scene or an override gives one. Repeats are taken in rounds over all variants, so that a machine that slows down slows all.
+    Penalty contact is the paper's, without a margin, unless the scene or an override gives one. Repeats are taken in
+    rounds over all variants, so that a machine that slows down slows all.
     """
     contacts = scene_file.read(path, overrides).contacts
     if any(contact.name == "penalty" and "margin" not in contact.given for contact in contacts):
