@@ -113,7 +113,7 @@ main(sys.argv[1:])
 @pytest.mark.quick(word=["interrupted"])
 @pytest.mark.parametrize(
     ("number", "word", "by"),
-    [(signal.SIGTERM, "terminated", "SIGTERM"), (signal.SIGINT, "interrupted", "SIGINT (Ctrl-C)")],
+    [(signal.SIGTERM, "terminated", "SIGTERM or SIGHUP"), (signal.SIGINT, "interrupted", "SIGINT (Ctrl-C)")],
 )
 def test_a_signal_ends_a_run_in_order(number: signal.Signals, word: str, by: str, tmp_path: Path) -> None:
     scene = write_scene(tmp_path, duration=400.0)
