@@ -155,6 +155,8 @@ def distances(points: Float, columns: Columns) -> Float:
     return least
 
 
+FEW = 32
+"""Triangles of about a size, as large ones of a box, whose distances are computed, not bounded by their centres'."""
 PARTS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1), (2 / 3, 2 / 3, 2 / 3)]) / 2.0
 """Barycentric coordinates (7, 3) of the corners of the six parts into which a triangle's medians cut it."""
 WEIGHTS = np.array([1, 1, 1, 1, 1, 1, 3]) / 9.0
@@ -255,8 +257,14 @@ def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:
     else:
         frame = geometry.frame[i]
         columns, x = columns_of(geometry, i), (x - poses.translation[frame]) @ rotation_matrices(poses.rotation)[frame]
-    x, (near, groups) = np.where(np.isfinite(x), x, 0.0), columns.trees
-    return np.where(are_inside(x, columns), -np.inf, near.query(x)[0] - max(size for _, size, _ in groups))
+    x, corners = np.where(np.isfinite(x), x, 0.0), columns.vertices[columns.faces]
+    least = np.where(are_inside(x, columns), -np.inf, np.inf)
+    for tree, size, which in columns.trees[1]:
+        if len(which) > FEW:
+            least = np.minimum(least, tree.query(x)[0] - size)
+        for face in corners[which] if len(which) <= FEW else ():
+            least = np.minimum(least, to_triangles(x, np.broadcast_to(face, (len(x), 3, 3))))
+    return least
 
 
 def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int], inside_only: bool = False) -> Float:
