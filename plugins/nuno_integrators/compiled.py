@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, ClassVar, Literal
@@ -257,7 +257,9 @@ class Compiled(ABC):
         packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
         if poses is not None:
             self._begin_at(packed, work, poses[1])
-        return find_forces(system, state, _set_poses(packed, poses), work.x, work.v, extra, poses)
+        packed = _set_poses(packed, poses)
+        felt = self.felt_at(work, packed, extra), self.unkicked(work)
+        return find_forces(system, state, packed, work.x, work.v, extra, poses, *felt)
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """See nuno_schemas.plugin.Integrator."""
@@ -280,6 +282,10 @@ class Compiled(ABC):
         """Return the velocity (3, n) by which contact was felt at the end of the last step: that of the state."""
         v: Float = work.v
         return v
+
+    def unkicked(self, work: Any) -> Collection[str]:
+        """Return the parts that feel the state's velocity, where others feel that of `felt_at`."""
+        return ()
 
     def about(self, system: System) -> str:
         """Describe the threads for this system, and what limits them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -29,9 +29,10 @@ def undisturbed(packed: Packed) -> Packed:
 
 def find_forces(
     system: System, state: State, packed: Packed, x: Float, v: Float, extra: Extra,
-    poses: tuple[Poses, Poses] | None,
+    poses: tuple[Poses, Poses] | None, felt: Float, unkicked: Collection[str] = (),
 ) -> Forces:  # fmt: skip
-    """Return the forces in a state, which is also in x and v (3, n), with bodies as at the end of `poses`.
+    """Return the forces in a state, which is also in x and v (3, n), with bodies as at the end of `poses`. All parts
+    but the `unkicked` ones feel the velocity `felt` (3, n), by which the step's last kick went.
 
     Each kind is computed by the kernels of a step with the others silent, so nothing is compiled for it; with masses of
     1 kg their accelerations are newtons. The reaction of sliding surfaces is found as for balance
@@ -40,16 +41,17 @@ def find_forces(
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = _bare(packed)
 
-    def force(variant: Packed, python: Extra = None) -> Float:
-        return _force(variant, x, v, 1.0, python)
+    def force(variant: Packed, velocity: Float, python: Extra = None) -> Float:
+        return _force(variant, x, velocity, 1.0, python)
 
     kinds = {"gravity": mass * np.asarray(system.gravity, np.float64)}
     if system.damping != 0.0:
         kinds["damping"] = -system.damping * mass * state.v
     for part in names:
-        kinds[part] = force(silence(bare, *(name for name in names if name != part)))
+        velocity = v if part in unkicked else felt
+        kinds[part] = force(silence(bare, *(name for name in names if name != part)), velocity)
     if extra is not None:
-        kinds["python"] = force(silence(bare, *names), extra)
+        kinds["python"] = force(silence(bare, *names), felt, extra)
     total = np.sum(list(kinds.values()), axis=0)
     held = total if poses is None else _held(x, total, packed, poses[1])
     if held is not total:

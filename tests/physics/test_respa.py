@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from nuno.plugin_contract import registry
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_integrators.explicit.fixed_step import NoConfig, SymplecticEuler
-from nuno_integrators.explicit.respa import SAFE, Respa, RespaConfig, both_rates, divide, steps_a_kick
+from nuno_integrators.explicit.respa import SAFE, Respa, RespaConfig, at_start, both_rates, divide, steps_a_kick
 from nuno_schemas.fabric import Float, Hinges, Springs, State
 from nuno_schemas.system import System, Term
 
@@ -53,6 +53,18 @@ def test_tension_alone_is_symplectic_eulers_to_the_last_bit() -> None:
     assert one.tobytes() == other.tobytes()
 
 
+def test_what_hangs_in_the_air_stands_still_at_its_static_stretch() -> None:
+    """Tension carries the weight below each row: gravity is no kick where nothing may rest on anything."""
+    hung = replace(strip(columns=8, damping=0.02), gravity=np.array([9.81, 0.0, 0.0]), damping=30.0)
+    config, step = RespaConfig(), 0.5 * Respa().limit(RespaConfig(), hung, at_start(hung)).dt
+    assert Respa().steps_a_kick(config, hung, step, 2.0) > 8
+    x, v = end(hung, Respa(), config, int(2.0 / step), 2.0)
+    other, _ = end(hung, SymplecticEuler(), NoConfig(), int(2.0 / step), 2.0)
+    assert np.abs(v).max() < 1e-9
+    start, stretched = (part[:, 0] - hung.fabric.position[:, 0] for part in (x, other))
+    assert start == pytest.approx(stretched, rel=1e-6, abs=1e-12) and stretched.max() > 1e-6
+
+
 @pytest.mark.parametrize(("damping", "order"), [(0.0, 2.0), (5.0, 1.0)])
 def test_what_kicks_leave_out_falls_with_the_time_between_them(damping: float, order: float) -> None:
     """Against a kick in every step as short: with its square, since kicks stand for half of the time before and half of
@@ -75,9 +87,10 @@ def test_a_shorter_step_brings_kicks_nearer_too() -> None:
     assert kicks[fewest] == kicks[8 * fewest] > 1
     often = [end(system, Respa(), RespaConfig(every=1), k * fewest, duration) for k in (16, 32)]
     exact = 2.0 * often[1] - often[0]
-    counts = [fewest << k for k in range(4)]
+    counts = [fewest << k for k in range(5)]
     errors = [np.abs(end(system, Respa(), RespaConfig(), n, duration) - exact)[0].max() for n in counts]
-    assert abs(-np.polyfit(np.log(counts), np.log(errors), 1)[0] - 1.0) < 0.2, errors
+    assert errors[0] < 1e-5 and errors == sorted(errors, reverse=True)
+    assert abs(-np.polyfit(np.log(counts[2:]), np.log(errors[2:]), 1)[0] - 1.0) < 0.2, errors
 
 
 def test_kicks_stand_for_many_steps_of_damped_springs() -> None:
@@ -157,7 +170,7 @@ def test_what_rests_on_a_damped_support_does_not_stir() -> None:
         out[:, 1] -= MASS * (support * x[:, 1] + rate * v[:, 1])
 
     start = lying.position - [0.0, sag, 0.0]
-    system = replace(system, fabric=replace(lying, position=start), terms=(Term("support", bear),))
+    system = replace(system, fabric=replace(lying, position=start), terms=(Term("support", bear, support, rate),))
     x, v = end(system, Respa(), RespaConfig(every=4), 400, 0.04)
     assert np.abs(v).max() < 1e-9
     assert np.abs(x - start).max() < 1e-12

@@ -285,9 +285,7 @@ def test_forces_beside_a_moving_body_are_those_of_the_frames_state(name: str, tm
             springs = moment.fabric.springs
             assert springs is not None and moment.forces is not None
             felt = -moment.forces.parts["contact"].sum(axis=0)
-            # respa's contact felt the velocity of its last kick, half a kick before the state's.
-            apart = 0.1 * np.abs(felt).max() + 1e-3 if name == "respa" else 1e-12
-            assert felt == pytest.approx(loads[moment.frame], abs=apart)
+            assert felt == pytest.approx(loads[moment.frame], abs=1e-12)
             touching += bool(felt.any())
             first, second = springs.pairs().T
             d, u = moment.x[second] - moment.x[first], moment.v[second] - moment.v[first]

@@ -19,7 +19,9 @@ damping, which takes from each mode but shifts its phase, `feeds` looks at all m
 
 Kicks go by the velocity just before them. The mean velocity since the last kick would be free of the tremor that kicks
 cause themselves, but comes too late for modes that swing within that time, which it drives: half as many steps a kick.
-Gravity is a kick for this reason: what rests on a body feels one force of contact and weight, and does not stir.
+Gravity is a kick for this reason where cloth may rest on a body or on cloth: what does feels one force of contact and
+weight, and does not stir. What hangs there stirs instead: at the ends of frames, after half a kick, its velocity is off
+by up to g H / 2 and its strain by that over the speed of sound. Elsewhere gravity acts in every step.
 
 Bending grows with the fourth power of how small triangles are: beside gathers and short edges it may be faster than
 contact, which then would be found in every step for its sake. Where it is, it acts with tension in every step, for a
@@ -33,7 +35,7 @@ between kicks, but need the derivatives of positions that they average over.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -161,6 +163,19 @@ class Division:
     slow: tuple[float, float]
     safe: float = math.inf
     longest: float = math.inf
+    rests: bool = True
+    """whether a term is stiff, so that cloth may rest on it: gravity is a kick then"""
+
+    def fast_part(self, p: Packed) -> Packed:
+        """Return the system of what acts in every step."""
+        gravity = np.zeros(3) if self.rests else p.gravity
+        others = [name for name in parts(p) if name not in self.always]
+        return silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=gravity)
+
+    def slow_part(self, p: Packed) -> Packed:
+        """Return the system of what acts as kicks."""
+        slow = silence(p, *self.always)
+        return slow if self.rests else slow._replace(gravity=np.zeros(3))
 
     def steps_a_kick(self, dt: float, span: float) -> int:
         """Return for how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: at most
@@ -232,11 +247,14 @@ class Respa(Compiled):
     def felt_at(self, work: RespaWork, packed: Packed, extra: Extra) -> Float:
         """Return the velocity before the last kick, half of which is in the state: v - H / 2 a(v), iterated."""
         half = 0.0 if _slides(work.packed) else 0.5 * work.last * work.dt
-        slow, a, v = silence(packed, *work.division.always), np.empty_like(work.v), work.v
+        slow, a, v = work.division.slow_part(packed), np.empty_like(work.v), work.v
         for _ in range(ROUNDS if half > 0.0 else 0):
             evaluate(work.x, v, 1.0, a, slow, extra)
             v = work.v - half * a
         return v
+
+    def unkicked(self, work: RespaWork) -> Collection[str]:
+        return work.division.always
 
     def _loop(self, work: RespaWork, extra: Extra) -> Any:
         """Return the loop of a system divided into tension and all other forces; symplectic Euler's if there is no
@@ -248,9 +266,7 @@ class Respa(Compiled):
             return source_of(SymplecticEuler().loop_for(work.packed), extra)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
-            others = [name for name in parts(p) if name not in always]
-            fast = silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=np.zeros(3))
-            slow = silence(p, *always)
+            fast, slow = work.division.fast_part(p), work.division.slow_part(p)
             source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
 
         return loop
@@ -287,7 +303,9 @@ def divide(system: System) -> Division:
     if 0.0 < dear < bending:
         always, longest = TENSION + BENDING, 0.5 * math.pi / math.sqrt(bending)
         fast, slow = both_rates(system, at_start(system), always)
-    return Division(always, (fast[0], min(fast[1], least_damping(system.fabric, fast[0]))), slow, safe, longest)
+    rests = any(term.omega_squared > 0.0 for term in system.terms)
+    fast = fast[0], min(fast[1], least_damping(system.fabric, fast[0]))
+    return Division(always, fast, slow, safe, longest, rests)
 
 
 def stable(fast: tuple[float, float], slow: tuple[float, float], damping: float) -> float:

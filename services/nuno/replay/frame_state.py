@@ -72,7 +72,7 @@ def states(
             raise BadInput("a cloth that is dyed alone feels no forces", loaded.file, field="forces", value=forces)
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
         for frame in wanted:
-            at = {name: part.at(frame) for name, part in parts.items()}
+            at = {name: part.at(frame, stepped=forces) for name, part in parts.items()}
             yield _frame_state(frame, at.get("cloth"), at.get("dye"), forces)
 
 
@@ -99,11 +99,13 @@ class _Part:
         self._changed = {event.frame for event in control_events(recording)}
         self._resimulation: Resimulation | None = None
 
-    def at(self, frame: int) -> Stepper:
-        """Return the stepper at a frame. Raises BadInput where its digest differs."""
+    def at(self, frame: int, stepped: bool = False) -> Stepper:
+        """Return the stepper at a frame, which it has `stepped` to, as forces of a solver that kicks need, and not
+        taken from a checkpoint. Raises BadInput where its digest differs.
+        """
         resimulation, path = self._resimulation, str(self._recording.path)
         if resimulation is None or not resimulation.stepper.frame <= frame <= resimulation.stepper.frame + 1:
-            number, start = self._nearest(frame)
+            number, start = self._nearest(frame, stepped)
             if resimulation is None or not number <= resimulation.stepper.frame <= frame:
                 if resimulation is not None:  # the first time, with the stepper at its start
                     self._stepper = self._make()
@@ -115,13 +117,13 @@ class _Part:
             raise BadInput(problem, path, remedy="nuno verify says where, and what is another than it was then")
         return resimulation.stepper
 
-    def _nearest(self, frame: int) -> tuple[int, Recorded | None]:
-        """Return frame and message of the last checkpoint before a frame; -1 and None for the start."""
+    def _nearest(self, frame: int, before: bool) -> tuple[int, Recorded | None]:
+        """Return frame and message of the last checkpoint up to a frame, or `before` it; -1 and None for the start."""
         log_time = self._times.get(frame, -1)
         while (message := self._recording.last(self._stepper.kept.name, log_time / 1e9)) is not None:
             number = next((n for n, time in self._times.items() if time == message.log_time), frame)
             same = self._recording.checkpoint(message).digest == self._digests.get(number)
-            if number < frame or (number not in self._changed and same):
+            if number < frame or (number not in self._changed and same and not before):
                 return number, message
             log_time = message.log_time - 1
         return -1, None
