@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nuno.python_api.run import Result, resume, run
     from nuno.python_api.scene import Scene
     from nuno.recording.reader import Recording
-    from nuno.replay.frame_state import FrameState
+    from nuno.resimulation.frame_state import FrameState
     from nuno_bench.sweep.grid import sweep
 
 __all__ = [
@@ -46,7 +46,7 @@ PLACES = {
     "nuno.python_api.recordings": ("export", "open", "states", "verify"),
     "nuno.python_api.run": ("Result", "resume", "run"),
     "nuno.python_api.scene": ("Scene",),
-    "nuno.replay.frame_state": ("FrameState",),
+    "nuno.resimulation.frame_state": ("FrameState",),
     "nuno.recording.reader": ("Recording",),
     "nuno_bench.sweep.grid": ("sweep",),
 }

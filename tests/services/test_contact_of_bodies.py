@@ -20,7 +20,7 @@ from nuno.cli import main
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
 from nuno.recording.reader import open_recording
-from nuno.replay.verification import Verification, verify
+from nuno.resimulation.verification import Verification, verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file

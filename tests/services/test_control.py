@@ -28,8 +28,8 @@ from nuno.cli.active_runs import SLOW
 from nuno.exports.tables import export_scene
 from nuno.recording.reader import CHANGES, control_events
 from nuno.recording.writer import part_of
-from nuno.replay.verification import verify
 from nuno.report.run_report import lines, make_report
+from nuno.resimulation.verification import verify
 from nuno.runtime import runs
 from nuno.runtime.driver import Driver
 from nuno.runtime.service import Options

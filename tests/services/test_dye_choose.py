@@ -17,7 +17,7 @@ import nuno
 from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import Recording
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file

@@ -20,8 +20,8 @@ from nuno.dye.run import DyeRun
 from nuno.dye.supply import first_step, give
 from nuno.plugin_contract import registry
 from nuno.recording.reader import control_events
-from nuno.replay.verification import verify
 from nuno.report.run_report import lines
+from nuno.resimulation.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file

@@ -23,7 +23,7 @@ from nuno.cli import main
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import control_events
 from nuno.replay.publisher import Replay
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file

@@ -35,7 +35,7 @@ from nuno.exports.pictures import Colour, Painter, _cloth_mesh, export_picture
 from nuno.exports.tables import export_csv
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
-from nuno.replay.frame_state import export_npz
+from nuno.resimulation.frame_state import export_npz
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float

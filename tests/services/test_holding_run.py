@@ -13,7 +13,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.bus.sessions import spoke
 from nuno.cli import main
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 
 SHEET = {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "plane": "xz", "centre": [0.3, -0.09, 0.0]}
 

@@ -13,8 +13,8 @@ from nuno.cli import main
 from nuno.exports.cloth import SIDES
 from nuno.exports.pictures import Painter
 from nuno.recording.reader import open_recording
-from nuno.replay.frame_state import export_npz
 from nuno.report.run_report import lines
+from nuno.resimulation.frame_state import export_npz
 from nuno.scene import scene_file, shipped
 from nuno.simulation import cloth
 from nuno.simulation.yarns import measure_courses

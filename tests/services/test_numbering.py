@@ -15,7 +15,7 @@ from scenes import write_scene
 
 import nuno
 from nuno.exports.meshes import export_mesh
-from nuno.replay.verification import Verification, verify
+from nuno.resimulation.verification import Verification, verify
 from nuno.runtime import supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped

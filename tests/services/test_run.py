@@ -25,7 +25,7 @@ from nuno.bus.sessions import hub_at
 from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno.recording.reader import control_events
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime import supervisor as oversight
 from nuno.runtime.driver import WINDOW

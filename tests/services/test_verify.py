@@ -15,7 +15,7 @@ from nuno.bus.encodings import decode_arrays, encode_arrays, encode_points
 from nuno.cli import main
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import RecordingWriter
-from nuno.replay.verification import Verification, verify
+from nuno.resimulation.verification import Verification, verify
 from nuno_schemas.messages import Header
 
 Change = Callable[[Recorded], bytes]

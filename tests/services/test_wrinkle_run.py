@@ -16,7 +16,7 @@ from nuno.cli import main
 from nuno.exports.cloth import Pieces
 from nuno.exports.tables import export_csv
 from nuno.recording.reader import control_events
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped

@@ -15,7 +15,7 @@ from pathlib import Path
 from live_run import Live
 
 from nuno.recording.reader import open_recording
-from nuno.replay.verification import verify
+from nuno.resimulation.verification import verify
 from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped

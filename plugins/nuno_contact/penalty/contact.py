@@ -79,8 +79,8 @@ def set_poses(contact: Contact, poses0: Poses, poses1: Poses) -> None:
 @kernel
 def pose_primitive(p: int, f: int, contact: Contact) -> None:
     """Fill row p of `posed` (see nuno_contact.penalty.distance) from the primitive in its frame."""
-    kind, a, b, radius, margin = contact.kind[p], contact.a, contact.b, contact.radius, contact.largest_margin[p]
-    frames, posed, square = contact.frames, contact.posed, 0.0
+    kind, shapes, frames, posed, square = contact.kind[p], contact.shapes, contact.frames, contact.posed, 0.0
+    a, b, radius, margin = shapes.a, shapes.b, shapes.radius, shapes.largest_margin[p]
     for c in range(3):
         m0, m1, m2 = frames[f, 3 * c], frames[f, 3 * c + 1], frames[f, 3 * c + 2]
         start = frames[f, 9 + c] + m0 * a[p, 0] + m1 * a[p, 1] + m2 * a[p, 2]
@@ -98,7 +98,7 @@ def pose_primitive(p: int, f: int, contact: Contact) -> None:
             low, high = -math.inf, math.inf
         posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
     posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
-    posed[p, 7], posed[p, 14], posed[p, 15] = radius[p], contact.curvature_radius[p], contact.margin[p]
+    posed[p, 7], posed[p, 14], posed[p, 15] = radius[p], shapes.curvature_radius[p], shapes.margin[p]
 
 
 @block_kernel
@@ -177,8 +177,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
     A block that stays out of reach is not written again.
     """
     kind, posed, frames, bounds, near = contact.kind, contact.posed, contact.frames, contact.bounds, contact.near
-    spread = contact.spread
-    deepest = Deepest(contact.distance, contact.deepest[body])
+    deepest = Deepest(contact.distance, contact.deepest[body], contact.spread)
     was_near = near[body, block]
     near[body, block] = False
     for p in range(contact.first[body], contact.first[body + 1]):
@@ -189,13 +188,13 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
             for i in range(np.uint64(low), np.uint64(high)):
                 deepest.distance[i], deepest.primitive[i] = 0.0, -1
         if kind[p] == CAPSULE:
-            lower_capsule(x, spread, low, high, posed, p, deepest)
+            lower_capsule(x, low, high, posed, p, deepest)
         elif kind[p] == BOX:
-            lower_box(x, spread, low, high, posed, p, frames, contact.frame[p], deepest)
+            lower_box(x, low, high, posed, p, frames, contact.frame[p], deepest)
         elif kind[p] != FIELD:
             lower_plane(x, low, high, posed, p, deepest)
         elif fields is not None:
-            lower_field(x, spread, low, high, posed, p, frames, contact.frame[p], fields, deepest)
+            lower_field(x, low, high, posed, p, frames, contact.frame[p], fields, deepest)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
             deepest.primitive[i] = -1
@@ -318,6 +317,21 @@ AT_ONCE = 1e300
 """a rate that nothing reaches, and that times a depth of 0 is 0"""
 
 
+class Shapes(NamedTuple):
+    """p primitives in their frames."""
+
+    a: Float
+    """(p, 3), b (p, 3) and radius (p,) [m] in the frame, as in Geometry"""
+    b: Float
+    radius: Float
+    curvature_radius: Float
+    """(p,) least radius of curvature of a distance field [m], 0 for others"""
+    margin: Float
+    """(p,) distance from the surface at which all vertices are kept [m]"""
+    largest_margin: Float
+    """(p,) largest margin of a vertex [m]"""
+
+
 class Contact(NamedTuple):
     """Bodies, their motion over one frame of animation, and the friction of n vertices.
 
@@ -330,16 +344,7 @@ class Contact(NamedTuple):
     """(p,)"""
     first: Int
     """(b + 1,) first primitive of each body"""
-    a: Float
-    """(p, 3), b (p, 3) and radius (p,) [m] in the frame, as in Geometry"""
-    b: Float
-    radius: Float
-    curvature_radius: Float
-    """(p,) least radius of curvature of a distance field [m], 0 for others"""
-    margin: Float
-    """(p,) distance from the surface at which all vertices are kept [m]"""
-    largest_margin: Float
-    """(p,) largest margin of a vertex [m]"""
+    shapes: Shapes
     spread: Float
     """(1, n) S = L^2 / 3 [m^2] of each vertex, L the longest side of its triangles: sets its margin; 0 without any"""
     stiffness: Float
@@ -499,12 +504,7 @@ def make_contact(
         kind=np.ascontiguousarray(kind, np.int8),
         frame=np.ascontiguousarray(g.frame[order], np.int32),
         first=np.searchsorted(g.body[order], np.arange(bodies + 1)).astype(np.int32),
-        a=floats(a),
-        b=floats(b),
-        radius=floats(radius),
-        curvature_radius=curved,
-        margin=np.full(len(kind), margin),
-        largest_margin=margin + widest,
+        shapes=Shapes(floats(a), floats(b), floats(radius), curved, np.full(len(kind), margin), margin + widest),
         spread=floats(spread[None]),
         stiffness=floats(stiffness),
         damping=floats(damping),

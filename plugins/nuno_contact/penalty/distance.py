@@ -61,6 +61,8 @@ class Deepest(NamedTuple):
     """(n,) the least of the distances [m], 0 if none is negative"""
     primitive: NDArray[np.int64]
     """(n,) its number, -1 if there is none"""
+    spread: Float
+    """(1, n) S of the vertices' triangles [m^2]"""
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
@@ -134,7 +136,7 @@ def box_distance(at: Vector, spread: float, posed: Float, p: Index, frames: Floa
 
 
 @kernel
-def lower_capsule(x: Float, spread: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
+def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to capsule p, if they are less.
 
     Most vertices near a capsule are outside of it: eight at a time are looked at without a root,
@@ -148,6 +150,7 @@ def lower_capsule(x: Float, spread: Float, low: int, high: int, posed: Float, p:
     share = (1.0 + 16.0 * EPSILON) * (1.0 + margin / posed[p, 7])
     limit = (1.0 + 16.0 * EPSILON) * (posed[p, 7] + margin) * (posed[p, 7] + margin)
     zero, one, distance, primitive = splat(0.0), splat(1.0), deepest.distance, deepest.primitive
+    spread = deepest.spread
     for q in range(low, high, WIDTH):
         m = min(WIDTH, high - q)
         vx, vy, vz = read(x, 0, q, m) - ax, read(x, 1, q, m) - ay, read(x, 2, q, m) - az
@@ -178,13 +181,11 @@ def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: De
 
 
 @kernel
-def lower_box(
-    x: Float, spread: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest
-) -> None:
+def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, if they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
-        d = box_distance((x[0, i], x[1, i], x[2, i]), spread[0, i], posed, p, frames, f)[0]
+        d = box_distance((x[0, i], x[1, i], x[2, i]), deepest.spread[0, i], posed, p, frames, f)[0]
         if d < distance[i]:
             distance[i] = d
             primitive[i] = p
@@ -289,19 +290,10 @@ def primitive_distance(at: Vector, spread: float, p: Index, f: Index, bodies: Bo
 
 @kernel
 def lower_field(
-    x: Float,
-    spread: Float,
-    low: int,
-    high: int,
-    posed: Float,
-    p: int,
-    frames: Float,
-    f: int,
-    fields: Fields,
-    deepest: Deepest,
+    x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, fields: Fields, deepest: Deepest
 ) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) that are in the bounds of field p to those to it."""
-    number, distance, primitive = int(posed[p, 7]), deepest.distance, deepest.primitive
+    number, distance, primitive, spread = int(posed[p, 7]), deepest.distance, deepest.primitive, deepest.spread
     for i in range(np.uint64(low), np.uint64(high)):
         px, py, pz = x[0, i], x[1, i], x[2, i]
         within = posed[p, 8] <= px <= posed[p, 11] and posed[p, 9] <= py <= posed[p, 12]

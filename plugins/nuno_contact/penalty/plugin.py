@@ -141,7 +141,7 @@ class Penalty:
             damping_rate=float(rate.max(initial=0.0)),
             facts={
                 "rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0)),
-                "margin": float(contact.largest_margin.max(initial=0.0)),
+                "margin": float(contact.shapes.largest_margin.max(initial=0.0)),
                 "slip_speed": float(faster[:, free].max(initial=0.0)),
             },
         )

@@ -32,8 +32,8 @@ from nuno.recording.reader import (
     shortcoming,
 )
 from nuno.replay.publisher import Replay
-from nuno.replay.verification import Verification, verify
 from nuno.report.run_report import recorded_lines
+from nuno.resimulation.verification import Verification, verify
 from nuno.runtime import runs
 from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service

@@ -47,7 +47,7 @@ FILES = {
 }
 """Kinds of files, by their flags."""
 WRITERS = {
-    **{name: f"nuno.replay.frame_state:export_{name}" for name in ("npz", "forces")},
+    **{name: f"nuno.resimulation.frame_state:export_{name}" for name in ("npz", "forces")},
     **{name: f"nuno.exports.tables:export_{name}" for name in ("csv", "scene")},
     "yarns": "nuno.python_api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
     **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",

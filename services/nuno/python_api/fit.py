@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 from nuno.collision.bodies import build_bodies, outlines, surface, vertex_normals
 from nuno.exports.cloth import ShownPiece, read_pieces
 from nuno.recording.reader import Recording
-from nuno.replay.frame_state import FrameState, states
+from nuno.resimulation.frame_state import FrameState, states
 from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.yarns import named_heights

@@ -13,8 +13,8 @@ from nuno.bus.encodings import encode_arrays
 from nuno.collision.bodies import find_sizes
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.python_api.scene import Scene, as_texts, in_python, loaded
-from nuno.replay.verification import steppers
 from nuno.report.run_report import describe_start
+from nuno.resimulation.verification import steppers
 from nuno.runtime.launch import make_plan
 from nuno.runtime.service import Options
 from nuno.runtime.stepper import MESSAGE

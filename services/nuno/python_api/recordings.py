@@ -16,8 +16,8 @@ from nuno.runtime import runs
 from nuno_schemas.errors import BadInput
 
 if TYPE_CHECKING:
-    from nuno.replay.frame_state import Acted, FrameState
-    from nuno.replay.verification import Verification
+    from nuno.resimulation.frame_state import Acted, FrameState
+    from nuno.resimulation.verification import Verification
 
 
 class Finished(Protocol):
@@ -75,7 +75,7 @@ def states(recording: Recorded, frames: Iterable[int] | None = None, forces: boo
 
 def states(recording: Recorded, frames: Iterable[int] | None = None, forces: bool = False) -> Iterator[FrameState]:
     """Yield frames of a recording (default: all) in float64, each once, in the order of time. Raises BadInput."""
-    from nuno.replay import frame_state
+    from nuno.resimulation import frame_state
 
     with in_python(), opened(recording) as source:
         yield from frame_state.states(source, frames, forces)
@@ -86,7 +86,7 @@ def verify(recording: Recorded, threads: int = 0) -> Verification:
 
     Warns of a recording that is not complete. Raises BadInput for one without scene or frames.
     """
-    from nuno.replay import verification
+    from nuno.resimulation import verification
 
     with in_python(), opened(recording) as source:
         _warn(source)

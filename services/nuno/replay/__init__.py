@@ -1,1 +1,1 @@
-"""Recordings played again: published on the bus, simulated again, compared, and read in float64 at any frame."""
+"""Recordings played again: published on the bus as they were, at their pace or faster."""

@@ -15,7 +15,7 @@ from nuno.exports.cloth import read_pressure
 from nuno.output_files import writing
 from nuno.recording.reader import Recording, control_events, opened
 from nuno.recording.recorded import Recorded, per_dye
-from nuno.replay.verification import steppers
+from nuno.resimulation.verification import steppers
 from nuno.runtime.stepper import Resimulation, Stepper
 from nuno.scene.recorded_scene import restored_scene
 from nuno_schemas.errors import BadInput
