@@ -81,7 +81,7 @@ def test_csv_holds_every_digit_and_names_units(path: Path, tmp_path: Path) -> No
     assert len(rows) == FRAMES
     assert list(rows[0]) == [
         "frame", "t [s]", "steps", "step_seconds [s]", "stretch [1]", "energy_kinetic [J]", "energy_springs [J]",
-        "depth [m]", "inside", "mean [m]",
+        "depth [m]", "inside", "mean [m]", "area [m^2]", "area_depth [m]",
     ]  # fmt: skip
     for heading, column in zip(rows[0], series.values(), strict=True):
         assert [float(row[heading]) for row in rows] == column.tolist()

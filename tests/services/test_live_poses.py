@@ -19,7 +19,7 @@ import pytest
 from doc_pages import ROOT, blocks
 from live_hand import LONG, SHEET, START, hand, places, poses, send
 from live_run import Live as LiveRun
-from live_run import Run
+from live_run import Run, wait_until
 from scenes import write_scene
 
 import nuno
@@ -229,9 +229,11 @@ def test_the_documentations_program_moves_its_hand(tmp_path: Path) -> None:
     loaded = scene_file.read(shipped.find("hand"), ["duration=1.5 s"])
     run = LiveRun(loaded, Options(record=tmp_path / "run.mcap"), Deployment(paused=True))
     run.wait_until_paused()
-    script = tmp_path / "hand.py"
-    script.write_text(program.replace('"last"', repr(run.run)).replace("< 3:", "< 1:"))
+    script, ready = tmp_path / "hand.py", tmp_path / "ready"
+    program = program.replace('"last"', repr(run.run)).replace("< 3:", "< 1:")
+    script.write_text(program.replace("    while", f"    open({str(ready)!r}, 'w').close()\n    while"))
     with subprocess.Popen([sys.executable, str(script)]) as process:
+        wait_until(ready.exists)
         run.control("resume")
         assert run.join().state == "done"
         assert process.wait(60) == 0

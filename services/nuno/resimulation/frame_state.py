@@ -71,8 +71,9 @@ def states(
         if forces and not loaded.scene.moves:
             raise BadInput("a cloth that is dyed alone feels no forces", loaded.file, field="forces", value=forces)
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
+        kicked = forces and getattr(loaded.integrator.plugin, "kicks", False)
         for frame in wanted:
-            at = {name: part.at(frame, stepped=forces) for name, part in parts.items()}
+            at = {name: part.at(frame, stepped=kicked) for name, part in parts.items()}
             yield _frame_state(frame, at.get("cloth"), at.get("dye"), forces)
 
 
