@@ -83,6 +83,31 @@ def test_a_weight_that_fits_the_other_unit_gets_a_remark(text: str, doubted: boo
     assert ("write its unit" in read(tmp_path, text).how["density"]) == doubted
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".yaml"])
+@pytest.mark.parametrize(
+    ("name", "given", "doubted"),
+    [
+        ("W", ("12.1",), ""), ("W", ("121",), "density"), ("W", ("121 mg/cm^2",), ""),
+        ("B", ("0.118", "0.076"), ""), ("B", ("9.5", "0.076"), "bend_warp"), ("B", ("0.118", "9.5"), "bend_weft"),
+        ("B", ("9.5 gf*cm^2/cm", "0.076 gf*cm^2/cm"), ""), ("B", ("9.5",), "bend_warp bend_weft"),
+    ],
+)  # fmt: skip
+def test_a_table_and_a_yaml_file_get_the_same_remarks(
+    suffix: str, name: str, given: tuple[str, ...], doubted: str, tmp_path: Path
+) -> None:
+    """A rigidity of 9.5 uN m, as FAST has it, is 98 times as much in the unit of KES-F, above all but few fabrics."""
+    table = {"W": ("12.1",), "B": ("0.118", "0.076"), "G": ("0.7", "0.8"), "LT": ("0.8", "1.0"), "EMT": ("3.2", "6.1")}
+    rows = (table | {name: given}).items()
+    if suffix == ".csv":
+        text = "instrument, KES-F\n" + "".join(f"{one}, {', '.join(parts)}\n" for one, parts in rows)
+    else:
+        text = "instrument: KES-F\n" + "".join(
+            f"{one}: {parts[0] if one == 'W' or len(parts) == 1 else list(parts)}\n" for one, parts in rows
+        )
+    how = read(tmp_path, text, suffix=suffix).how
+    assert [measure for measure, words in how.items() if "write its unit" in words] == doubted.split()
+
+
 def test_a_heading_is_passed_over_and_what_is_not_available_is_missing(tmp_path: Path) -> None:
     instrument, *lines = POINTS.splitlines()
     rows = [[*line.split(", "), ""][:3] for line in lines]

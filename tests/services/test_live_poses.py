@@ -296,6 +296,46 @@ def test_a_program_in_step_ends_in_the_same_bits(tmp_path: Path) -> None:
     assert nuno.verify(tmp_path / "one.mcap").frame is None
 
 
+@pytest.mark.parametrize("ahead", [False, True])
+def test_an_addition_comes_after_the_frames_of_the_poses_before_it(tmp_path: Path, ahead: bool) -> None:
+    """However many of them wait, and however slow the frames are; its answer has the last one."""
+    changes = {6: "attach: {body: hand, vertices: [40]}", 12: "release: {body: hand}"}
+    run = Run(hand(tmp_path), tmp_path / "run.mcap")
+    with nuno.drive(run.run, "hand", wait=LONG) as ball:
+        said = {}
+        for frame, (position, rotation) in enumerate(poses(), 1):
+            ball.send(position, rotation)
+            if frame in changes:
+                said[frame] = ball.add(changes[frame])["frame"]
+            elif not ahead:
+                run.wait(lambda frame=frame: run.frame >= frame)
+    assert run.join().state == "done" and said == {6: 6, 12: 12}
+    with open_recording(run.record) as recording:
+        assert [event.frame for event in recording.events() if event.text == "add"] == [6, 12]
+    assert run.report["followed"]["hand"]["used"] == 20
+
+
+def test_an_addition_waits_for_a_paused_run_and_ends_with_it(tmp_path: Path) -> None:
+    """Without poses it is made in the pause; by the clock, where no frame waits, it is not delayed."""
+    run = Run(hand(tmp_path), tmp_path / "run.mcap", paused=True)
+    run.wait_until_paused()
+    with nuno.drive(run.run, "hand") as ball:
+        assert ball.add("attach: {body: hand, vertices: [40]}")["frame"] == 0
+        ball.send(*poses()[0])
+        threading.Timer(0.3, run.step_to, [1]).start()
+        assert ball.add("release: {body: hand}")["frame"] == 1
+        ball.send(*poses()[1])
+        threading.Timer(0.3, run.stop).start()
+        with pytest.raises(RunFailed):
+            ball.add("attach: {body: hand, vertices: [40]}")
+    clock = Run(hand(tmp_path, frames="clock"), tmp_path / "clock.mcap", paused=True)
+    clock.wait_until_paused()
+    with nuno.drive(clock.run, "hand") as ball:
+        ball.send(*poses()[0])
+        assert ball.add("attach: {body: hand, vertices: [40]}")["frame"] == 0
+    clock.stop()
+
+
 def test_a_frame_that_waits_can_be_paused_and_stopped(tmp_path: Path) -> None:
     """It has the next poses all the same; and a run that is stopped ends in order, with what came for its bodies."""
     run = Run(hand(tmp_path), tmp_path / "run.mcap")
@@ -410,7 +450,7 @@ def test_a_run_is_waited_for_until_it_takes_frames(tmp_path: Path, monkeypatch: 
     with nuno.drive(run.run, "hand", wait=LONG) as ball:
         assert compiled.is_set()
         said = ball.add("attach: {body: hand, vertices: [40]}")
-        assert said == {"vertices": 1, "held": 1} and all(type(number) is int for number in said.values())
+        assert said == {"vertices": 1, "held": 1, "frame": 0} and all(type(number) is int for number in said.values())
         for position, rotation in poses():
             ball.send(position, rotation)
     assert run.join().state == "done" and run.report["followed"]["hand"]["used"] == 20

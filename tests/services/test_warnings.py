@@ -244,3 +244,32 @@ def test_a_resumed_runs_report_says_how_its_recording_began(tmp_path: Path, caps
     assert "start in a body" in told(capsys, *on)
     with nuno.open(path) as first, nuno.open(tmp_path / "on.mcap") as second:
         assert warned(second) == warned(first), "the event of the start stands once in the recording"
+
+
+@pytest.mark.parametrize(
+    ("material", "fields", "named"),
+    [
+        (
+            "newmtl a\nmap_Kd print.png\nnewmtl b\n  map_kd C:\\prints\\my print.png\r\n",
+            {},
+            ["print.png", "my print.png"],
+        ),
+        ("newmtl a\nmap_Kd print.png\nnewmtl b\nmap_Kd print.png", {}, ["print.png"]),
+        ("map_Kd print.png", {"colour": "teal"}, []),
+        ("map_Kd print.png", {"texture": "print.png"}, []),
+        ("Kd 0.8 0.8 0.8\n# map_Kd print.png\nmap_Ks print.png", {}, []),
+        (None, {}, []),
+    ],
+)
+def test_images_of_materials_are_named(
+    tmp_path: Path, material: str | None, fields: dict[str, str], named: list[str]
+) -> None:
+    """Those of an OBJ file's material files next to it, each once, unless the cloth has a texture or a colour."""
+    (tmp_path / "dress.obj").write_text("mtllib ./dress.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n")
+    if material is not None:
+        (tmp_path / "dress.mtl").write_text(material)
+    model = {"plugin": "mesh", "file": "dress.obj", "texture": fields.get("texture")}
+    objects = [{"name": "dress", "model": model, "colour": fields.get("colour")}]
+    found = scene_warnings(load(HANGING | {"objects": objects}, {}, "dress", SceneFiles(tmp_path)))
+    assert [text.partition("name the image ")[2].partition(", and")[0] for text in found] == named
+    assert all(text.startswith("objects[0].model: ") for text in found)

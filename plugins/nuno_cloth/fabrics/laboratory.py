@@ -189,8 +189,12 @@ COMPUTED = 0.2
 CURVATURE = 250.0
 """Largest curvature of KES-F [1/m]."""
 STRAIN = Plausible(1e-5, 2.0)
-COMMON = 0.031, 0.488
-"""5th and 95th percentiles of measured weights [kg/m^2], as in WEIGHT."""
+COMMON = {
+    "W": (0.031, 0.488, ("density",), ("mg/cm^2", "g/m^2")),
+    "B": (9e-7, 1.1e-4, ("bend_warp", "bend_weft"), ("gf*cm^2/cm", "uN*m")),
+}
+"""5th and 95th percentiles of measured weights [kg/m^2] and rigidities [N*m], as in WEIGHT and BENDING, the measures
+that they are, and the usual units of sheets."""
 
 
 WEIGHED = Column("g/m^2", "kg/m^2", WEIGHT, pair=False)
@@ -269,8 +273,12 @@ def read_sheet(entries: Mapping[str, Any], like: str | None = None, folder: Path
             raise _unknown(name, instrument)
     READ[instrument](sheet)
     _fill(sheet, like, instrument)
-    if "W" in sheet.values and BARE.fullmatch(str(next(value for name, value in entries.items() if name in "Ww"))):
-        sheet.how["density"] += _doubt(sheet.fabric["density"], columns["W"].unit)
+    for name, entry in entries.items():
+        if (key := known.get(name.lower(), name)) in COMMON and key in sheet.values:
+            parts = list(entry) if isinstance(entry, (list, tuple)) else [entry]
+            for measure, part in zip(COMMON[key][2], 2 * parts, strict=False):
+                if BARE.fullmatch(str(part)):
+                    sheet.how[measure] += _doubt(sheet.fabric[measure], columns[key], key)
     drape, how = read_drape({name: value for name, value in entries.items() if is_drape(name)}, folder)
     ignored = tuple(name for name in entries if known.get(name.lower()) in unused)
     return Imported(sheet.fabric, NEEDED | MORE | DRAPED, complete(sheet.how) | how, ignored, drape=drape)
@@ -287,12 +295,17 @@ def _instrument(entries: Mapping[str, Any]) -> str:
     return instruments[name.lower()]
 
 
-def _doubt(density: float, unit: str) -> str:
-    """Return a remark on a weight [kg/m^2] without a unit that few fabrics have, and many in the other usual unit."""
-    other, share = ("g/m^2", 0.1) if unit == "mg/cm^2" else ("mg/cm^2", 10.0)
-    if COMMON[0] <= density <= COMMON[1] or not COMMON[0] <= share * density <= COMMON[1]:
+def _doubt(value: float, column: Column, key: str) -> str:
+    """Return a remark on a weight or rigidity in SI without a unit that few fabrics have, and many in the other usual
+    unit.
+    """
+    low, high, _, units = COMMON[key]
+    other = units[units[0] == column.unit]
+    meant = value * to_si(f"1 {other}", column.si) / to_si(f"1 {column.unit}", column.si)
+    if low <= value <= high or not low <= meant <= high:
         return ""
-    return f" in {unit}, {density:.3g} kg/m^2: few fabrics have that, write its unit; in {other} {share * density:.3g}"
+    doubt = f"{value:.3g} {column.si}: few fabrics have that, write its unit"
+    return f" in {column.unit}, {doubt}; in {other} {meant:.3g}"
 
 
 def _unknown(name: str, instrument: str) -> BadInput:

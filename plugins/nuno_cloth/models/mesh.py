@@ -25,7 +25,7 @@ from nuno_cloth.models.placement import (
 )
 from nuno_cloth.models.triangles import Edges, face_areas, find_edges
 from nuno_cloth.quantities import Scale
-from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh
+from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh, material_images
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
@@ -92,6 +92,16 @@ class Mesh:
 
     def count(self, config: MeshConfig, files: Files) -> int:
         return len(read_mesh(files.resolve(config.file), config.merge).points)
+
+    def left_out(self, config: MeshConfig, files: Files) -> tuple[str, ...]:
+        """Describe the images of an OBJ file's materials, which a mesh without a `texture` does not show."""
+        path = files.resolve(config.file)
+        images = [] if config.texture is not None or path.suffix.lower() != ".obj" else material_images(path)
+        return tuple(
+            f"the materials of {path.name} name the image {image}, and are not read: give the model "
+            f'texture: "{image}", or the object a colour'
+            for image in images
+        )
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
         """Return the most memory that a run takes [bytes]."""

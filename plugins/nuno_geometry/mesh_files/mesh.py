@@ -63,6 +63,23 @@ def load_surface(path: Path) -> tuple[Float, Int]:
     return mesh.points, mesh.faces
 
 
+def material_images(path: Path) -> list[str]:
+    """Return the names of the images (`map_Kd`) of an OBJ file's materials, if their files are next to it. Raises
+    BadInput for one that cannot be read.
+    """
+    images = list[str]()
+    for library in (path.parent / name for name in _names_after("mtllib", path)):
+        if library.is_file():
+            images += _names_after("map_Kd", library)
+    return list(dict.fromkeys(images))
+
+
+def _names_after(statement: str, path: Path) -> list[str]:
+    """Return the names of the files, without folders, that follow a statement in a text."""
+    text = read_as(path, "text", plain, LARGEST_FILE).decode("utf-8", "replace")
+    return re.findall(rf"(?im)^[ \t]*{statement}[ \t](?:.*[/\\])?[ \t]*([^/\\\n]*[^/\\\s])", text)
+
+
 def read_closed(
     path: Path, scale: float = 1.0, mend: bool = False, load: Load = load_surface, notes: list[str] | None = None
 ) -> tuple[Float, Int]:

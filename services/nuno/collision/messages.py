@@ -69,6 +69,10 @@ class Follower:
         """Time of the scene since the last poses [s]."""
         self.heard = False
         """Whether the body has its poses of the present frame."""
+        self.frame = 0
+        """Last frame that has taken poses."""
+        self._received: dict[str, int] = {}
+        """Number of the latest poses of each session."""
         self._queue: deque[bytes] = deque()
         self._lock = threading.Lock()
         self._too_large = 0
@@ -80,6 +84,8 @@ class Follower:
         sender = str(sample.source_info.source_id.zid) if sample.source_info else ""
         with self._lock:
             self.tally.heard += 1
+            if sample.source_info:
+                self._received[sender] = sample.source_info.source_sn
             if sender not in self._senders[-1:]:
                 self.tally.mixed += sender in self._senders
                 self._senders = [*(other for other in self._senders if other != sender), sender]
@@ -99,6 +105,11 @@ class Follower:
         """Return the next queued message, or the newest; None if there is none."""
         with self._lock:
             return self._queue.popleft() if self._queue else None
+
+    def taken(self) -> dict[str, int]:
+        """Return the number of the latest poses of each session; nothing while poses are queued."""
+        with self._lock:
+            return {} if self._queue else dict(self._received)
 
     def too_large(self) -> int:
         """Return the number of messages that were too large since the last call."""
@@ -143,8 +154,16 @@ class Followers:
         return follower.live.key or self.context.bus.key(f"{POSES.name}/{follower.body}")
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """Return the joints and the key of the poses of each body."""
-        return {follower.body: {"joints": follower.joints, "key": self._key(follower)} for follower in self.each}
+        """Return of each body the joints and the key of its poses, whether frames wait for them, the last frame that
+        took any, and the number of each sender's latest poses once none is queued.
+        """
+        return {
+            follower.body: {
+                "joints": follower.joints, "key": self._key(follower), "waits": follower.live.waits,
+                "frame": follower.frame, "taken": follower.taken(),
+            }
+            for follower in self.each
+        }  # fmt: skip
 
     def take_up(self, poses: Poses, frames: tuple[str, ...]) -> None:
         """Move all bodies to their poses in a recording; `frames` are the names of its body frames."""
@@ -221,6 +240,7 @@ class Followers:
                 self._say(body, error.problem, f"was sent what cannot be followed: {error}"[:LONGEST], frame)
                 continue
             body.tally.used += 1
+            body.frame = frame
             return True
 
     def _say(self, follower: Follower, kind: str, text: str, frame: int) -> None:
@@ -270,7 +290,7 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
 GEOMETRY_QUERY = "collision/ask/geometry"
 POSES_QUERY = "collision/ask/poses"
 LIVE_BODIES_QUERY = "collision/ask/told"
-"""Names of the queries; the reply about live bodies is JSON with the joints and the key of each."""
+"""Names of the queries; the reply about live bodies is JSON, `Followers.describe` by body."""
 
 NUMBERS = ("size", "tolerance", "band")
 """Numbers of a distance field, besides its arrays."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nuno.bus.encodings import decode_arrays, decode_picture, decode_points
 from nuno.bus.health import Watch
-from nuno.bus.messages import ALL, Bus, Inbox, Message
+from nuno.bus.messages import ALL, Bus, Inbox, Message, pauses
 from nuno.bus.sessions import spoke
 from nuno.collision.messages import LIVE_BODIES_QUERY, read_poses
 from nuno.python_api.scene import in_python
@@ -161,9 +161,12 @@ class Driving:
             except RunFailed as error:
                 problem = f"{error}; to move a body takes an operator's certificate"
                 raise RunFailed(problem if config else str(error), error.peer) from None
-            self._joints, key = _live_body(self._bus, body)
+            live = _live_body(self._bus, body)
+            self._body, self._joints, self._waits = body, tuple(live["joints"]), bool(live["waits"])
             self._publisher = session.declare_publisher(
-                key, congestion_control=zenoh.CongestionControl.BLOCK, reliability=zenoh.Reliability.RELIABLE
+                str(live["key"]),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
             )
             self._sent, self._stack, self._closed = 0, stack.pop_all(), False
 
@@ -185,15 +188,31 @@ class Driving:
 
     def add(self, item: str) -> dict[str, Any]:
         """Change the cloth before the next frame, as `nuno control RUN add`: "attach: {body: hand}",
-        "release: {body: hand}"; return the facts of the change. Raises BadInput if the run refuses it, RunFailed if it
-        does not answer.
+        "release: {body: hand}"; return the facts of the change, and `frame`, the last frame before it. Where frames
+        wait for poses, that is the frame of the last sent pose, which this waits for, also in a paused run. Raises
+        BadInput if the run refuses it, RunFailed if it does not answer.
         """
         self._require_open()
+        if self._waits and self._sent:
+            self._wait_for_frame()
         answer = self._bus.ask_json(CONTROL, {"action": "add", "item": item}, CONTROL_TIMEOUT)
         if answer.get("ok") is not True:
             refused = answer.get("refused") or {"problem": str(answer.get("error"))}
             raise BadInput(**refused)
-        return dict(answer.get("new") or {})
+        return {**(answer.get("new") or {}), "frame": answer["frame"]}
+
+    def _wait_for_frame(self) -> None:
+        """Wait until the run has stepped the frames of all sent poses. Raises RunFailed if it ends before."""
+        sender, taken, frame = str(self._publisher.id.zid), False, -1
+        for pause in pauses():
+            if not taken:
+                live = self._bus.ask_json(LIVE_BODIES_QUERY, {}, CONTROL_TIMEOUT)["told"][self._body]
+                taken = live["taken"].get(sender, 0) >= self._sent
+            elif frame < live["frame"]:
+                frame = self._bus.ask_json(CONTROL, {"action": "status"}, CONTROL_TIMEOUT)["frame"]
+            else:
+                return
+            time.sleep(pause)
 
     def _require_open(self) -> None:
         if self._closed:
@@ -225,8 +244,8 @@ def drive(run: str, body: str, *, wait: float = 0.0, connect: str | None = None,
     return Driving(name, body, endpoint, connect is not None, config, end)
 
 
-def _live_body(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
-    """Return joints and key of a body with a live motion. Raises BadInput for any other."""
+def _live_body(bus: Bus, body: str) -> dict[str, Any]:
+    """Return what `Followers.describe` says of a body with a live motion. Raises BadInput for any other."""
     if "collision" not in bus.present():
         raise BadInput("the run has no bodies", field="body", value=body, remedy="give its scene the body")
     reply = bus.ask_json(LIVE_BODIES_QUERY, {}, CONTROL_TIMEOUT)
@@ -236,7 +255,7 @@ def _live_body(bus: Bus, body: str) -> tuple[tuple[str, ...], str]:
     if body not in live:
         problem, hint = (f"{body} has no motion: {{plugin: topic}}", f"or take {' or '.join(live)}" if live else "")
         raise BadInput(problem, field="body", value=body, remedy=f"give it one in the scene{', ' * bool(live)}{hint}")
-    return tuple(live[body]["joints"]), str(live[body]["key"])
+    return dict(live[body])
 
 
 def _rows(name: str, numbers: ArrayLike, width: int) -> NDArray[np.float64]:

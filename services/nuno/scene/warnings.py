@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -36,14 +37,17 @@ def scene_warnings(loaded: Loaded) -> list[str]:
 
 
 def left_out(loaded: Loaded) -> list[str]:
-    """Return features of its weave that a dyed cloth lacks, by its plugin's `left_out(config, files)`."""
-    if loaded.dye is None or not hasattr(loaded.dye.cloth.plugin, "left_out"):
-        return []
-    try:
-        texts = loaded.dye.cloth.plugin.left_out(loaded.dye.cloth.config, loaded.files)
-    except BadInput:  # raised again where the cloth is built
-        return []
-    return [f"dye.cloth: {text}" for text in texts]
+    """Return what cloth without a colour, and dyed cloth, lack of their files, by `left_out(config, files)` of their
+    plugins.
+    """
+    objects = zip(loaded.models, loaded.scene.objects, strict=True)
+    cloth = [model for model, spec in objects if spec.colour is None] + ([loaded.dye.cloth] if loaded.dye else [])
+    texts = []
+    for one in cloth:
+        with suppress(BadInput):  # raised again where the cloth is built
+            left = one.plugin.left_out(one.config, loaded.files) if hasattr(one.plugin, "left_out") else ()
+            texts += [f"{one.field}: {text}" for text in left]
+    return texts
 
 
 def rounded_times(loaded: Loaded) -> list[str]:
