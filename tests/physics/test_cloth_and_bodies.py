@@ -200,7 +200,9 @@ def closing(speed: float, side: float) -> Motion:
 
 @pytest.mark.full
 def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
-    """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted."""
+    """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted, but not as
+    held cloth, of which there is none.
+    """
     met = Met(above(0.0), shapes=[box((0.05, 0.05, 0.05))] * 2, motions=[closing(0.05, 1.0), closing(0.05, -1.0)])
     counted, fastest = 0, 0.0
     for _ in range(25):
@@ -209,7 +211,7 @@ def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
         fastest = max(fastest, float(np.abs(met.state.v).max()))
         # Of cloth nothing passes through cloth, and no plane that keeps it off the vertices that are behind is lost.
         assert (met.behind == 0) <= (not met.crossed)
-    assert counted > 0 and met.meeting.so_far[HELD_CUT] > 0
+    assert counted > 0 and met.meeting.so_far[HELD_CUT] == 0
     assert fastest < 20.0
 
 
