@@ -372,7 +372,7 @@ def test_a_waist_that_a_walking_body_comes_through_throws_nothing_about(tmp_path
     simulation = Simulation.with_bodies(scene_file.read(tmp_path / "scene.yaml"), 1)
     while simulation.frame < 36:
         counts = simulation.step().report.counts
-    assert counts["body_vertices_behind"] > 0 and counts["held_cut_short"] > 100
+    assert counts["body_vertices_behind"] > 0 and counts["held_cut_short"] > 0
     assert counts["pairs_left_out"] == counts["steps_without_motion"] == 0 and counts["cut_short"] < 100
     assert np.linalg.norm(simulation.state.v, axis=1).max() < 50.0
     assert re.fullmatch(r"\d+ vertices of walker pinched near \(.*\) m: .*", simulation.holds())

@@ -30,7 +30,7 @@ def posed(shape):
 
 def measure(contact, points):
     bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
-    return np.array([primitive_distance(tuple(p), 0.0, 0, 0, bodies, None) for p in points])
+    return np.array([primitive_distance(tuple(p), 0.0, 0.0, 0, 0, bodies, None) for p in points])
 
 
 def cloud(number=300, seed=1):
@@ -133,14 +133,14 @@ def test_no_triangle_enters_whose_corners_keep_their_margin(shape: str) -> None:
     rng, part = np.random.default_rng(4), SHAPES[shape]
     triangles = 0.2 * rng.standard_normal((300, 3, 3))
     spread = triangle_spread(triangles.reshape(-1, 3), np.arange(900).reshape(-1, 3)) / STRETCHED**2
-    contact = contact_for(geometry(part), np.ones(900), 1.0)._replace(spread=spread[None])
+    contact = contact_for(geometry(part), np.ones(900), 1.0)._replace(spread=np.stack([spread, 0.0 * spread]))
     pose_bodies(0.0, contact)
     bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
     middle = np.asarray(part[3]) if shape == "box" else 0.5 * (np.asarray(part[3]) + part[4])
     inside = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12.0
 
     def least(points: np.ndarray, spread: float) -> float:
-        return min(primitive_distance(tuple(p), spread, 0, 0, bodies, None)[0] for p in points)
+        return min(primitive_distance(tuple(p), spread, 0.0, 0, 0, bodies, None)[0] for p in points)
 
     for triangle, own in zip(triangles, spread[::3], strict=True):
         way, low, high = rng.standard_normal(3), 0.0, 3.0

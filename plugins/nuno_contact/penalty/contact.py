@@ -135,7 +135,7 @@ class BodyContact(NamedTuple):
     """(3, n)"""
     anchor_frame: Int
     spread: Float
-    """(1, n) see Contact"""
+    """(2, n) see Contact"""
 
 
 class Response(NamedTuple):
@@ -210,7 +210,9 @@ def respond(x: Float, v: Float, i: Index, touch: BodyContact, bodies: Bodies, fi
     p = np.uint64(touch.deepest[i])
     f, frames = np.uint64(bodies.frame[p]), bodies.frames
     px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, mark = primitive_distance((px, py, pz), touch.spread[0, i], p, f, bodies, fields)
+    distance, nx, ny, nz, mark = primitive_distance(
+        (px, py, pz), touch.spread[0, i], touch.spread[1, i], p, f, bodies, fields
+    )
     rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
     ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
     uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
@@ -346,7 +348,8 @@ class Contact(NamedTuple):
     """(b + 1,) first primitive of each body"""
     shapes: Shapes
     spread: Float
-    """(1, n) S = L^2 / 3 [m^2] of each vertex, L the longest side of its triangles: sets its margin; 0 without any"""
+    """(2, n) S = L^2 / 3 [m^2] of each vertex, L the longest side of its triangles, 0 without any; and 1 for those that
+    are kept off by `Shapes.margin`, too, 0 for others"""
     stiffness: Float
     """(b, n) k of each vertex on each body [N/m]"""
     damping: Float
@@ -474,8 +477,9 @@ def make_contact(
     """Return a contact with bodies at rest, without anchors, for n vertices.
 
     `stiffness` (b, n) [N/m] and `damping` (b, n) [N s/m] are those of each vertex on each body;
-    the geometry's own are not looked at. `spread` (n,) [m^2] sets the margins of vertices, and `margin` [m] is one for
-    all. Primitives are put in the order of their bodies, otherwise in the order given.
+    the geometry's own are not looked at. `spread` (n,) [m^2] sets the margins of vertices, and `margin` [m] is added
+    for those of triangles; it is that of all without a spread. Primitives are put in the order of their bodies,
+    otherwise in the order given.
     """
     g = geometry
     order = np.argsort(g.body, kind="stable")
@@ -488,7 +492,7 @@ def make_contact(
     # A field's surface may lie outside of its mesh by the tolerance.
     radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
     fields = [field for field in g.fields if field is not None]
-    spread = np.zeros(n) if spread is None else spread
+    all_have, spread = spread is None, np.zeros(n) if spread is None else spread
     curved = np.array([least_radius(*g.mesh(p)) if g.kind[p] == FIELD else 0.0 for p in order.tolist()])
     round_radius = np.where(kind == CAPSULE, radius, curved)
     widest = np.where(kind == BOX, np.sqrt(0.5 * spread.max(initial=0.0)), 0.0)
@@ -505,7 +509,7 @@ def make_contact(
         frame=np.ascontiguousarray(g.frame[order], np.int32),
         first=np.searchsorted(g.body[order], np.arange(bodies + 1)).astype(np.int32),
         shapes=Shapes(floats(a), floats(b), floats(radius), curved, np.full(len(kind), margin), margin + widest),
-        spread=floats(spread[None]),
+        spread=floats(np.stack([spread, np.ones(n) if all_have else spread > 0.0])),
         stiffness=floats(stiffness),
         damping=floats(damping),
         friction=floats(g.friction),

@@ -42,7 +42,7 @@ from nuno_schemas.fabric import Float, Int
 #     7     radius [m]; of a distance field, its number
 #     8:14  lowest and highest corner of its bounds, infinite for a plane; with the largest margin
 #     14    least radius of curvature r of a field [m]
-#     15    a margin that is the same for all vertices [m]
+#     15    a margin that is the same for all vertices that have one [m]
 #
 # `frames` (f, 18) holds one frame a row: 0:9 rotation matrix by rows, 9:12 origin, 12:15 velocity
 # of the origin [m/s], 15:18 angular velocity [rad/s].
@@ -62,7 +62,7 @@ class Deepest(NamedTuple):
     primitive: NDArray[np.int64]
     """(n,) its number, -1 if there is none"""
     spread: Float
-    """(1, n) S of the vertices' triangles [m^2]"""
+    """(2, n) S of the vertices' triangles [m^2], and whether they have a primitive's margin, 0 or 1"""
 
 
 CAPSULE, PLANE, BOX, FIELD = 0, 1, 2, 4
@@ -98,9 +98,10 @@ def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
 
 
 @forced_inline
-def capsule_distance(px: float, py: float, pz: float, spread: float, posed: Float, p: Index) -> Reading:
+def capsule_distance(at: Vector, spread: float, margin: float, posed: Float, p: Index) -> Reading:
     """Return (distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
-    reach = posed[p, 15] + math.sqrt(posed[p, 7] * posed[p, 7] + spread)
+    px, py, pz = at
+    reach = margin + math.sqrt(posed[p, 7] * posed[p, 7] + spread)
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
     ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
     s = min(max((ex * dx + ey * dy + ez * dz) * posed[p, 6], 0.0), 1.0)
@@ -114,10 +115,10 @@ def capsule_distance(px: float, py: float, pz: float, spread: float, posed: Floa
 
 
 @forced_inline
-def box_distance(at: Vector, spread: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
+def box_distance(at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """Return (distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
     lx, ly, lz = turn_in((at[0] - posed[p, 0], at[1] - posed[p, 1], at[2] - posed[p, 2]), frames, f)
-    margin = posed[p, 15] + math.sqrt(0.5 * spread)
+    margin += math.sqrt(0.5 * spread)
     qx, qy, qz = abs(lx) - posed[p, 3] - margin, abs(ly) - posed[p, 4] - margin, abs(lz) - posed[p, 5] - margin
     distance = max(qx, qy, qz)
     nx, ny, nz = 0.0, 0.0, 0.0
@@ -145,7 +146,7 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
     """
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
-    inverse, square, margin = posed[p, 6], posed[p, 7] * posed[p, 7], posed[p, 15]
+    inverse, square, margin = posed[p, 6], posed[p, 7] * posed[p, 7], posed[p, 15]  # of those that have one
     # (m + sqrt(r^2 + S))^2 <= (r + m)^2 + S (1 + m / r), since sqrt(r^2 + S) <= r + S / 2 r.
     share = (1.0 + 16.0 * EPSILON) * (1.0 + margin / posed[p, 7])
     limit = (1.0 + 16.0 * EPSILON) * (posed[p, 7] + margin) * (posed[p, 7] + margin)
@@ -161,7 +162,7 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
                 ex, ey, ez = x[0, i] - ax, x[1, i] - ay, x[2, i] - az
                 s = min(max((ex * dx + ey * dy + ez * dz) * inverse, 0.0), 1.0)
                 ex, ey, ez = ex - s * dx, ey - s * dy, ez - s * dz
-                d = math.sqrt(ex * ex + ey * ey + ez * ez) - (margin + math.sqrt(square + spread[0, i]))
+                d = math.sqrt(ex * ex + ey * ey + ez * ez) - (margin * spread[1, i] + math.sqrt(square + spread[0, i]))
                 least, which = distance[i], primitive[i]
                 distance[i] = min(least, d)
                 primitive[i] = p if d < least else which
@@ -170,11 +171,11 @@ def lower_capsule(x: Float, low: int, high: int, posed: Float, p: int, deepest: 
 @kernel
 def lower_plane(x: Float, low: int, high: int, posed: Float, p: int, deepest: Deepest) -> None:
     """Lower the distances of vertices [low, high) of x (3, n) to those to plane p, if they are less."""
-    distance, primitive, margin = deepest.distance, deepest.primitive, posed[p, 15]
+    distance, primitive, margin, spread = deepest.distance, deepest.primitive, posed[p, 15], deepest.spread
     ax, ay, az = posed[p, 0], posed[p, 1], posed[p, 2]
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
     for i in range(np.uint64(low), np.uint64(high)):
-        d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz - margin
+        d = (x[0, i] - ax) * nx + (x[1, i] - ay) * ny + (x[2, i] - az) * nz - margin * spread[1, i]
         least, which = distance[i], primitive[i]
         distance[i] = min(least, d)
         primitive[i] = p if d < least else which
@@ -185,7 +186,8 @@ def lower_box(x: Float, low: int, high: int, posed: Float, p: int, frames: Float
     """Lower the distances of vertices [low, high) of x (3, n) to those to box p in frame f, if they are less."""
     distance, primitive = deepest.distance, deepest.primitive
     for i in range(low, high):
-        d = box_distance((x[0, i], x[1, i], x[2, i]), deepest.spread[0, i], posed, p, frames, f)[0]
+        margin = posed[p, 15] * deepest.spread[1, i]
+        d = box_distance((x[0, i], x[1, i], x[2, i]), deepest.spread[0, i], margin, posed, p, frames, f)[0]
         if d < distance[i]:
             distance[i] = d
             primitive[i] = p
@@ -251,18 +253,18 @@ class Bodies(NamedTuple):
 
 @forced_inline
 def field_margin(spread: float, posed: Float, p: Index) -> float:
-    """Return the margin of a vertex from field p [m]."""
-    return float(posed[p, 15] + math.sqrt(posed[p, 14] * posed[p, 14] + spread) - posed[p, 14])
+    """Return the part of a vertex's margin from field p that its triangles need [m]."""
+    return float(math.sqrt(posed[p, 14] * posed[p, 14] + spread) - posed[p, 14])
 
 
 @forced_inline
 def field_reading(
-    at: Vector, spread: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
+    at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
 ) -> Reading:
     """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
     distance, gx, gy, gz = sample(x, y, z, int(posed[p, 7]), fields)
-    distance -= field_margin(spread, posed, p)
+    distance -= margin + field_margin(spread, posed, p)
     size = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not size > 0.0:
         nx, ny, nz = across(gx, gy, gz)
@@ -272,19 +274,22 @@ def field_reading(
 
 
 @forced_inline
-def primitive_distance(at: Vector, spread: float, p: Index, f: Index, bodies: Bodies, fields: Fields | None) -> Reading:
+def primitive_distance(
+    at: Vector, spread: float, share: float, p: Index, f: Index, bodies: Bodies, fields: Fields | None
+) -> Reading:
     """Return (distance, normal x, y, z, 1 if it has no normal else 0) of any posed primitive p, in frame f, for a
-    vertex of triangles of `spread` [m^2].
+    vertex of triangles of `spread` [m^2] that has a `share`, 0 or 1, of the primitive's margin.
     """
     kind, posed = bodies.kind[p], bodies.posed
+    margin = share * posed[p, 15]
     if kind == CAPSULE:
-        return capsule_distance(at[0], at[1], at[2], spread, posed, p)
+        return capsule_distance(at, spread, margin, posed, p)
     if kind == BOX:
-        return box_distance(at, spread, posed, p, bodies.frames, f)
+        return box_distance(at, spread, margin, posed, p, bodies.frames, f)
     if fields is not None and kind == FIELD:
-        return field_reading(at, spread, posed, p, bodies.frames, f, fields)
+        return field_reading(at, spread, margin, posed, p, bodies.frames, f, fields)
     nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
-    distance = (at[0] - posed[p, 0]) * nx + (at[1] - posed[p, 1]) * ny + (at[2] - posed[p, 2]) * nz - posed[p, 15]
+    distance = (at[0] - posed[p, 0]) * nx + (at[1] - posed[p, 1]) * ny + (at[2] - posed[p, 2]) * nz - margin
     return distance, nx, ny, nz, 0
 
 
@@ -299,7 +304,8 @@ def lower_field(
         within = posed[p, 8] <= px <= posed[p, 11] and posed[p, 9] <= py <= posed[p, 12]
         if within and posed[p, 10] <= pz <= posed[p, 13]:
             u, v, w = to_frame(px, py, pz, frames, f)
-            d = sample_distance(u, v, w, number, fields) - field_margin(spread[0, i], posed, p)
+            margin = posed[p, 15] * spread[1, i] + field_margin(spread[0, i], posed, p)
+            d = sample_distance(u, v, w, number, fields) - margin
             if d < distance[i]:
                 distance[i] = d
                 primitive[i] = p

@@ -123,7 +123,7 @@ class Penalty:
         if margin != "auto":
             check_margin(margin, geometry)
         spread = triangle_spread(fabric.position, fabric.faces) if margin == "auto" else None
-        fixed = (GAP if len(fabric.faces) else 0.0) if margin == "auto" else margin
+        fixed = GAP if margin == "auto" else margin
         own = auto_stiffness(fabric, gravity)
         stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
         damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
@@ -141,7 +141,7 @@ class Penalty:
             damping_rate=float(rate.max(initial=0.0)),
             facts={
                 "rest_depth": float((weight / stiffness.min(axis=0)).max(initial=0.0)),
-                "margin": float(contact.shapes.largest_margin.max(initial=0.0)),
+                "margin": float(contact.shapes.largest_margin.max(initial=0.0)) if contact.spread[1].any() else 0.0,
                 "slip_speed": float(faster[:, free].max(initial=0.0)),
             },
         )

@@ -112,9 +112,9 @@ class Stepper(ABC):
 
     def first(self) -> Stepped:
         """Return the present frame as a run begins with it: a resumed one with the steps that the frame has taken."""
-        frame, told = self.present(), self.resumed
-        report = replace(frame.report, **{name: told[name] for name in ("steps", "counts") if name in told})
-        return replace(frame, report=report, seconds=told.get("step_seconds", frame.seconds))
+        frame, recorded = self.present(), self.resumed
+        report = replace(frame.report, **{name: recorded[name] for name in ("steps", "counts") if name in recorded})
+        return replace(frame, report=report, seconds=recorded.get("step_seconds", frame.seconds))
 
     @abstractmethod
     def about(self) -> str:
