@@ -139,25 +139,18 @@ class Trials:
         Errors are assumed to grow in proportion to time after the tried frames, unless these already
         exceed the predictable time.
         """
-        coarse, fine = self._positions(method, steps), self._positions(self._with_half_kicks(method, steps), 2 * steps)
-        if coarse is None or fine is None:
+        kickless = method
+        if hasattr(method.plugin, "steps_a_kick"):
+            kickless = replace(method, config=method.config.model_copy(update={"every": 1}))
+        x, coarse, fine = (self._positions(*one) for one in ((method, steps), (kickless, steps), (kickless, 2 * steps)))
+        if x is None or coarse is None or fine is None:
             return math.inf
-        apart = self._distances(coarse, fine)[: self._predictable_frames(method, steps)]
-        growth = self.total / self.frames if len(apart) == self.frames else 1.0
-        higher = 2.0**method.plugin.order
-        total_error: float = float(np.sqrt((apart**2).mean())) * growth * higher / (higher - 1.0)
-        return total_error
-
-    def _with_half_kicks(self, method: Method, steps: int) -> Method:
-        """Return the method with kicks half as long, for steps half as long: otherwise the solver would take twice as
-        many steps a kick, and the error of kicks would not show.
-        """
-        kicks = getattr(method.plugin, "steps_a_kick", None)
-        if kicks is None:
-            return method
-        # The end of a frame ends the last kick.
-        every = min(kicks(method.config, self.system, self.frame / steps, self.frame), steps)
-        return replace(method, config=method.config.model_copy(update={"every": every}))
+        # Kicks that are far apart do not show by halving them: they have no order yet.
+        frames, higher = self._predictable_frames(method, steps), 2.0**method.plugin.order
+        by_kicks, by_steps = (self._distances(one, other)[:frames] for one, other in ((x, coarse), (coarse, fine)))
+        growth = self.total / self.frames if frames == self.frames else 1.0
+        errors = by_kicks, by_steps * higher / (higher - 1.0)
+        return growth * sum(float(np.sqrt(np.square(error).mean())) for error in errors)
 
     def _predictable_frames(self, method: Method, steps: int) -> int:
         """Return the number of predictable frames, at least one."""
