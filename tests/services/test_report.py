@@ -181,9 +181,11 @@ def test_a_resumed_runs_report_is_of_the_whole_recording(
     assert rows(result.report, "resumed") == []
 
 
-@pytest.mark.parametrize("kind", ["chain", "ball", "walker", "dye"])
+@pytest.mark.parametrize("kind", ["chain", "ball", "walker", "field", "dye"])
 def test_a_plan_states_the_size_that_a_recording_has(kind: str, tmp_path: Path) -> None:
-    """Within a tenth: positions, bodies, contact forces, status, checkpoints, files and the file's own bytes."""
+    """Within a tenth: positions, bodies, contact forces, status, checkpoints, files and the file's own bytes. A
+    distance field is not recorded.
+    """
     if kind == "dye":
         scene = write_dye_scene(tmp_path)
     elif kind == "walker":
@@ -191,6 +193,9 @@ def test_a_plan_states_the_size_that_a_recording_has(kind: str, tmp_path: Path) 
         walk.write_bytes(BVH)
         body = {"name": "body", "collider": {"plugin": "skeleton"}, "motion": {"plugin": "bvh", "file": walk.name}}
         scene = write_scene(tmp_path, bodies=[body], duration=1.0)
+    elif kind == "field":
+        solid = {"plugin": "sdf", "shape": "box", "size": [0.3, 0.3, 0.3], "centre": [0.3, -0.5, 0.0]}
+        scene = write_scene(tmp_path, bodies=[{"name": "block", "collider": solid}], duration=1.0)
     else:
         more: dict[str, Any] = {"bodies": BALL, "record": {"contact_forces": True}} if kind == "ball" else {}
         scene = write_scene(tmp_path, duration=2.0, **more)

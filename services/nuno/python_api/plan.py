@@ -109,9 +109,9 @@ def _recorded_size(simulation: Simulation) -> int:
     from nuno.simulation.service import describe_fabric, feel
 
     loaded, geometry, poses = simulation.loaded, simulation.geometry, simulation.poses
-    once = [encode_arrays(*describe_fabric(simulation)), *([] if geometry is None else [encode_geometry(geometry)])]
-    each = [simulation.encode()]
+    once, each = [encode_arrays(*describe_fabric(simulation))], [simulation.encode()]
     if geometry is not None and poses is not None:
+        once.append(encode_geometry(geometry, whole=False))
         each += [encode_poses(poses, simulation.frame), bytes(REPORT)]
         if loaded.scene.record.contact_forces:
             contact, touches = feel(simulation)
