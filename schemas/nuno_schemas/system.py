@@ -32,8 +32,9 @@ class Term:
     damping_rate: Annotated[float, Bounds(0.0)] = 0.0
     """Most this term can add to the damping rate c/m [1/s] if it is not active at the start."""
     facts: Mapping[str, float] = field(default_factory=dict)
-    """Numbers for the report: of contact its depth at rest, m g / k ("rest_depth", [m]), and by how much the speed of a
-    vertex that starts to slide exceeds that by Coulomb's law ("slip_speed", [m/s])."""
+    """Numbers for the report: of contact its depth at rest, m g / k ("rest_depth", [m]), the largest distance at which
+    it keeps vertices off ("margin", [m]), and by how much the speed of a vertex that starts to slide exceeds that by
+    Coulomb's law ("slip_speed", [m/s])."""
     bodies: tuple[str, ...] = ()
     """Names of the bodies of a contact, by their numbers in the term."""
 

@@ -200,8 +200,8 @@ def closing(speed: float, side: float) -> Motion:
 
 @pytest.mark.full
 def test_cloth_that_bodies_crush_is_counted_and_nothing_blows_up() -> None:
-    """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted, but not as
-    held cloth, of which there is none.
+    """Two cubes go 1 cm into each other with a sheet between: their vertices stay behind, and are counted. No cloth is
+    held here.
     """
     met = Met(above(0.0), shapes=[box((0.05, 0.05, 0.05))] * 2, motions=[closing(0.05, 1.0), closing(0.05, -1.0)])
     counted, fastest = 0, 0.0

@@ -452,3 +452,17 @@ def test_what_turns_round_is_faster_by_twice_as_much():
     fall(x, v, mass, slope(alpha), contact, 0.0, 0.0, round(duration / dt), dt, np.zeros((3, 1)))
     gained = v[0, 0] - (pull - grip) * (duration - speed / (pull + grip))
     assert gained == pytest.approx(2.0 * slip_speed(damping) * grip * np.sqrt(mass[0] / k), rel=0.02)
+
+
+@pytest.mark.parametrize("shape", [plane(), capsule((0, -1, 0), (0, -1, 0), 1.0), box((0, -1, 0), (1, 1, 1))])
+def test_triangles_keep_a_margin_and_points_beside_them_do_not(shape):
+    """A millimetre off a body a triangle of 1 cm is pushed, and a point, or any with `margin: 0`, is not."""
+    x = np.array([[0.0, 1e-3, 0.0], [0.01, 1e-3, 0.0], [0.0, 1e-3, 0.01], [0.05, 1.5e-3, 0.05]])
+    fabric = Fabric("both", x, 0.0 * x, np.full(4, 1e-3), np.zeros(4, bool), np.array([[0, 1, 2]], np.int32))
+    force = {}
+    for margin in ("auto", 0.0, 5e-3):
+        (contact,) = Penalty().prepare(PenaltyConfig(margin=margin), fabric, geometry(shape), DOWN).data
+        move(contact, 1.0)
+        force[margin] = force_on(contact, x.T.copy())[1]
+    assert (force["auto"][:3] > 0.0).all() and force["auto"][3] == 0.0
+    assert not force[0.0].any() and (force[5e-3] > 0.0).all()

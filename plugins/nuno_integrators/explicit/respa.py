@@ -207,8 +207,6 @@ class Respa(Compiled):
     order: ClassVar[int] = 1
     explicit: ClassVar[bool] = True
     holds: ClassVar[bool] = False
-    kicks: ClassVar[bool] = True
-    """Forces of a frame go by the kicks of the steps to it, which no checkpoint has."""
 
     def make_work(self, config: RespaConfig, system: System, packed: Packed) -> RespaWork:
         n = system.fabric.number

@@ -117,7 +117,7 @@ def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(where)
     add_flags(where, {
         "--listen": ("ENDPOINT", "listen here, e.g. tcp/127.0.0.1:7447 (default: a free port on loopback)"),
-        "--connect": ("ENDPOINT", "the hub of the services, which are started by hand, or here with --processes"),
+        "--connect": ("ENDPOINT", "start no service: those started by hand are at this hub"),
         "--run": ("ID", "name of the run (default: scene, time and four random digits)"),
         "--threads": ("N", "most threads for kernels (default: all cores); the result is the same", int),
     })  # fmt: skip

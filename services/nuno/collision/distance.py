@@ -262,8 +262,9 @@ def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:
     for tree, size, which in columns.trees[1]:
         if len(which) > FEW:
             least = np.minimum(least, tree.query(x)[0] - size)
-        for face in corners[which] if len(which) <= FEW else ():
-            least = np.minimum(least, to_triangles(x, np.broadcast_to(face, (len(x), 3, 3))))
+        else:
+            every = (to_triangles(x, np.broadcast_to(face, (len(x), 3, 3))) for face in corners[which])
+            least = functools.reduce(np.minimum, every, least)
     return least
 
 

@@ -156,10 +156,10 @@ class Collision:
         self.faces = np.zeros((0, 3), np.int32)
         """(f, 3) triangles of the cloth."""
         self.others: Geometry | None = None
-        """Bodies other than those of cloth contact, which cloth enters only by crossings."""
-        if bodies is not None:
-            met = set(context.loaded.scene.met_bodies) if self.cloth is not None else set()
-            self.others = bodies.geometry.of_bodies([i for i in range(len(bodies.geometry.bodies)) if i not in met])
+        """Bodies other than those of cloth contact, which cloth enters only by crossings; None without any."""
+        met = context.loaded.scene.met_bodies if self.cloth is not None else []
+        if bodies is not None and (rest := [i for i in range(len(bodies.geometry.bodies)) if i not in met]):
+            self.others = bodies.geometry.of_bodies(rest)
 
     def answer(self, query: Query) -> None:
         """Answer a query for the geometry, the live bodies, or the poses of a frame."""
@@ -268,7 +268,7 @@ class Collision:
         except (LookupError, TypeError, ValueError) as error:
             raise BadMessage(f"a fabric without {error}") from None
         except ContractError as error:
-            raise BadMessage(f"a fabric of which {error}") from None
+            raise BadMessage(f"a wrong fabric: {error}") from None
         self.faces = faces
 
     def measure(self, message: Message) -> None:
@@ -282,15 +282,8 @@ class Collision:
             depth = penetration(points, self.bodies.geometry, poses)
         inside, cloth = depth > 0.0, self.cloth.look(points, header, poses) if self.cloth else {}
         area = area_depth = 0.0
-        if (
-            self.bodies is not None
-            and self.others is not None
-            and poses is not None
-            and len(self.faces)
-            and len(points) > self.faces.max()
-        ):
-            geometry = self.bodies.geometry if cloth.get("crossings") else self.others
-            area, area_depth = area_inside(points, self.faces, geometry, poses)
+        if self.others is not None and poses is not None and len(points) > self.faces.max(initial=-1):
+            area, area_depth = area_inside(points, self.faces, self.others, poses)
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
@@ -346,7 +339,8 @@ def main(context: Context) -> None:
         if collision.followers is not None:
             facts["followed"] = collision.followers.summary()
         facts |= {"deepest": collision.deepest, "last_depth": collision.last}
-        facts |= {"area": collision.area, "area_depth": collision.area_depth}
+        if collision.others is not None and len(collision.faces):
+            facts |= {"area": collision.area, "area_depth": collision.area_depth}
     if collision.cloth is not None:
         facts["cloth_contact"] = collision.cloth.summary()
     finish.answer_json(context.counts(inbox) | facts)

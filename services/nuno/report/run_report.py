@@ -189,10 +189,8 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     if report["penetration"] is not None:
         text = f"at most {_millimetres(report['penetration'])}, {_millimetres(report['last_penetration'])} at the end"
         if report["rest_depth"] is not None:
-            sinks = f"resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
-            text += (
-                f"; {sinks}{f' into a margin of {_millimetres(margin)}' if (margin := report.get('margin')) else ''}"
-            )
+            text += f"; resting contact is expected to sink m g / k = {_millimetres(report['rest_depth'])}"
+            text += f" into a margin of {_millimetres(report['margin'])}" if report.get("margin") else ""
         rows.append(("penetration", text))
     if report.get("area") is not None:
         deep = f"at most {report['area'] * 1e4:.3g} cm^2 of cloth, {_millimetres(report['area_depth'])} deep"

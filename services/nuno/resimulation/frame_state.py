@@ -71,7 +71,7 @@ def states(
         if forces and not loaded.scene.moves:
             raise BadInput("a cloth that is dyed alone feels no forces", loaded.file, field="forces", value=forces)
         parts = {name: _Part(recording, make) for name, make in steppers(loaded, threads).items()}
-        kicked = forces and getattr(loaded.integrator.plugin, "kicks", False)
+        kicked = forces and hasattr(loaded.integrator.plugin, "steps_a_kick")  # no checkpoint has its last kick
         for frame in wanted:
             at = {name: part.at(frame, stepped=kicked) for name, part in parts.items()}
             yield _frame_state(frame, at.get("cloth"), at.get("dye"), forces)
