@@ -1,4 +1,6 @@
-"""`nuno gallery KIND`: one page with the pictures of all scenes of a kind, what was measured, and what must show."""
+"""`nuno gallery KIND`: one page with the pictures of all scenes of a kind, what was measured, and what must show; and
+`nuno gallery papers`: one page over the four papers.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from nuno.cli.common import add_flags
 from nuno.formatting import roughly
@@ -18,21 +21,34 @@ from nuno.scene import scene_file
 from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
-from nuno_bench.gallery.kind import DIFFERENCE_HEADINGS, EFFECT, Gallery, ShownScene, compare, embed
+from nuno_bench.gallery.kind import (
+    DIFFERENCE_HEADINGS,
+    EFFECT,
+    Gallery,
+    ShownScene,
+    Verdict,
+    compare,
+    embed,
+    judge_figures,
+)
 from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
 
 KINDS: dict[str, Gallery] = {
     "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
 }  # fmt: skip
+PAPERS = {"knit": "stocking", "dye": "dye", "wrinkle": "wrinkle"}
+"""Galleries of a paper's figures, and what the paper is about."""
+ALL_PAPERS = "papers"
+FIGURE_HEADINGS = ("figure", "what the paper says", "criterion", "here", "verdict")
 ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 NEEDED = "--patterns, --body"
 
 
 def gallery_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=list(KINDS), help="of scenes: contact, cloth that meets cloth; dye, the "
-                        "figures of the dye paper; knit, all knits; sewn, garments from patterns; "
-                        "wrinkle, lines drawn on cloth")  # fmt: skip
+    parser.add_argument("kind", choices=[*KINDS, ALL_PAPERS], help="of scenes: contact, cloth that meets cloth; dye, "
+                        "knit and wrinkle, the figures of the papers; sewn, garments from patterns; papers, the "
+                        "figures of all papers")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
                         help="where the page goes (default: %(default)s)")  # fmt: skip
@@ -41,21 +57,52 @@ def gallery_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def gallery_command(args: argparse.Namespace) -> int:
-    """Run all scenes; 1 where one fails, or does not show what it must."""
+    """Run all scenes; 1 where one fails, does not show what it must, or a figure is not reproduced and no sweep says
+    why.
+    """
     check_patterns(args)
-    kind, section = KINDS[args.kind], f"gallery {args.kind}"
+    section = f"gallery {args.kind}"
     page.check_section(args.docs, section)
+    if args.kind == ALL_PAPERS:
+        return show_papers(args, section)
+    kind = KINDS[args.kind]
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         if args.patterns:
             own = write_pattern_scenes(args, Path(folder))
             kind = replace(kind, scenes=lambda: own, lead=f"Patterns that were put on {args.body.name}, one by one.")
-        return show(kind, args, section)
+        others = machine.OtherLoad()
+        shown = run_scenes(kind, choose(kind, args.scenes))
+    found = judge(kind, shown)
+    report(kind, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, args.docs, section)
+    return int(not found.stands)
 
 
-def show(kind: Gallery, args: argparse.Namespace, section: str) -> int:
-    """Run the scenes that are wanted of a kind, and write their page; return the exit code."""
+def show_papers(args: argparse.Namespace, section: str) -> int:
+    """Run the scenes of all papers' figures, and write one page; return the exit code."""
     others = machine.OtherLoad()
-    paths = choose(kind, args.scenes)
+    wanted = {name: choose(KINDS[name], None) for name in PAPERS}
+    if args.scenes is not None:
+        names, every = options.names_of(args.scenes), {path.stem for paths in wanted.values() for path in paths}
+        options.require_known(names, every, "scene", "--scenes")
+        wanted = {kind: [path for path in paths if path.stem in names] for kind, paths in wanted.items()}
+    sections, rows, stands = list[tuple[str, Sequence[page.Part]]](), list[list[str]](), True
+    for name, paths in wanted.items():
+        if paths:
+            found = judge(KINDS[name], run_scenes(KINDS[name], paths))
+            stands = stands and found.stands
+            of = f"{PAPERS[name].capitalize()} paper"
+            rows += [[f"{PAPERS[name]}, {row[0]}", *row[1:]] for row in figure_rows(found.verdicts)]
+            sections += [(f"{of}: {heading}", parts) for heading, parts in figure_sections(KINDS[name], found)]
+            sections.append((f"{of}: failed", [failures(found)]))
+    table = page.Table(FIGURE_HEADINGS, rows, prose=True)
+    lead = "What each figure of the four papers says, and whether it can be seen here."
+    made = page.Report("Figures of the papers", lead, [("", [table]), *sections], machine.about(others), {}, [table])
+    made.write(args.out / f"{ALL_PAPERS}.html", None, args.docs, section)
+    return int(not stands)
+
+
+def run_scenes(kind: Gallery, paths: list[Path]) -> list[ShownScene]:
+    """Run scenes of a kind one by one, and say how long they take. Raises BadInput if none of them can be run."""
     number, shown, pace = len(paths), list[ShownScene](), RuntimeEstimate({path.stem: 1.0 for path in paths})
     if not kind.alike:
         print(
@@ -81,11 +128,30 @@ def show(kind: Gallery, args: argparse.Namespace, section: str) -> int:
         print(f"{path.stem}: {f'failed: {shown[-1].failed}' if shown[-1].failed else 'drawn'}", flush=True)
     if all(one.refused for one in shown):
         raise BadInput(f"none of {number} scenes can be run")
-    found = compare(kind.differences, {one.name: one for one in shown if not one.failed})
-    for row in found:
+    return shown
+
+
+class Judged(NamedTuple):
+    """Scenes that were run, the rows of their differences, and the verdicts on their figures."""
+
+    shown: Sequence[ShownScene]
+    differences: list[list[str]]
+    verdicts: list[Verdict]
+
+    @property
+    def stands(self) -> bool:
+        """Whether no scene failed, every difference shows, and every figure stands."""
+        shows = all(row[-1] != "missed" for row in self.differences)
+        return shows and not any(one.failed for one in self.shown) and all(one.stands for one in self.verdicts)
+
+
+def judge(kind: Gallery, shown: Sequence[ShownScene]) -> Judged:
+    """Hold the scenes that did not fail against what must show, and print it."""
+    whole = {one.name: one for one in shown if not one.failed}
+    found = Judged(shown, compare(kind.differences, whole), judge_figures(kind.figures, whole))
+    for row in [*found.differences, *figure_rows(found.verdicts)]:
         print("  ".join(row))
-    report(kind, shown, found, machine.about(others)).write(args.out / f"{args.kind}.html", None, args.docs, section)
-    return int(any(one.failed for one in shown) or any(row[-1] == "missed" for row in found))
+    return found
 
 
 def _refused(path: Path, error: BadInput) -> ShownScene:
@@ -104,21 +170,63 @@ def choose(kind: Gallery, wanted: str | None) -> list[Path]:
     return [path for name, path in known.items() if name in names]
 
 
-def report(kind: Gallery, shown: Sequence[ShownScene], found: list[list[str]], about: dict[str, str]) -> page.Report:
-    """The page: pictures by section, what failed, what must show and what was measured."""
+def report(kind: Gallery, found: Judged, about: dict[str, str]) -> page.Report:
+    """The page: figures, other pictures by section, what failed, what must show and what was measured."""
     own: dict[str, list[ShownScene]] = {}
-    for one in shown:
-        own.setdefault(kind.section(one.name), []).append(one)
-    lost = [[one.name, f"failed, {one.failed}"] for one in shown if one.failed]
-    measured = replace(kind.table(shown), caption=kind.measures)
-    where = "What these show is where they got to; what must show is not asked of them."
+    for one in found.shown:
+        if not any(one.name in verdict.figure.scenes for verdict in found.verdicts):
+            own.setdefault(kind.section(one.name), []).append(one)
+    measured = replace(kind.table(found.shown), caption=kind.measures)
+    figures = page.Table(FIGURE_HEADINGS, figure_rows(found.verdicts), prose=True)
     sections: page.Sections = [
+        ("", [figures]),
+        *figure_sections(kind, found),
         *((heading, [page.Pictures(_pictures(kind, ones))]) for heading, ones in own.items()),
-        ("Failed", [page.Table(("scene", "why"), lost, where)]),
-        ("What must show", [page.Table(DIFFERENCE_HEADINGS, found, ASKED)]),
+        ("Failed", [failures(found)]),
+        ("What must show", [page.Table(DIFFERENCE_HEADINGS, found.differences, ASKED)]),
         ("Measured", [measured]),
     ]
-    return page.Report(kind.title, kind.lead, sections, about, {}, [measured])
+    return page.Report(kind.title, kind.lead, sections, about, {}, [figures, measured])
+
+
+def failures(found: Judged) -> page.Table:
+    """A row a scene that failed."""
+    lost = [[one.name, f"failed, {one.failed}"] for one in found.shown if one.failed]
+    where = "What these show is where they got to; what must show is not asked of them."
+    return page.Table(("scene", "why"), lost, where)
+
+
+def figure_rows(verdicts: Sequence[Verdict]) -> list[list[str]]:
+    """Rows under FIGURE_HEADINGS."""
+    return [
+        [one.figure.number, one.figure.sentence, one.figure.criterion, one.finding.value, one.word] for one in verdicts
+    ]
+
+
+def figure_sections(kind: Gallery, found: Judged) -> list[tuple[str, list[page.Part]]]:
+    """A section a figure: what the paper says, our pictures, criterion, value and verdict, readings and sweep.
+
+    A picture stands under the first figure that it belongs to.
+    """
+    sections, drawn = list[tuple[str, list[page.Part]]](), set[tuple[str, str]]()
+    for one in found.verdicts:
+        own = []
+        for scene in found.shown:
+            kept = [
+                (label, picture)
+                for label, picture in scene.pictures
+                if scene.name in one.figure.scenes
+                and (not one.figure.labels or label.startswith(one.figure.labels))
+                and (scene.name, label) not in drawn
+            ]
+            drawn |= {(scene.name, label) for label, _ in kept}
+            own.append(replace(scene, pictures=kept))
+        judged = page.Table(("criterion", "here", "verdict"), [[one.figure.criterion, one.finding.value, one.word]],
+                            prose=True)  # fmt: skip
+        parts: list[page.Part] = [f"The paper: {one.figure.sentence}", page.Pictures(_pictures(kind, own)), judged]
+        texts = [f"Reading: {one.figure.reading}" if one.figure.reading else "", one.finding.why]
+        sections.append((f"Figure {one.figure.number}", [*parts, *texts, *([one.swept] if one.swept else [])]))
+    return sections
 
 
 def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:

@@ -1,4 +1,6 @@
-"""A kind of scenes for `nuno gallery`: their files, how one is run and measured, and the differences they must show."""
+"""A kind of scenes for `nuno gallery`: their files, how one is run and measured, and what they must show, as figures of
+a paper or as differences.
+"""
 
 from __future__ import annotations
 
@@ -54,6 +56,61 @@ def list_measured(shown: Sequence[ShownScene]) -> Table:
     return Table(("scene", "measure", "value"), rows)
 
 
+class Finding(NamedTuple):
+    """What a figure's criterion gave: its value in words, whether the paper's sentence holds here, and if not, why."""
+
+    value: str
+    holds: bool
+    why: str = ""
+
+
+Measures = Mapping[str, Mapping[str, float]]
+"""What was measured, by name and unit, of each scene by its name."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a paper, and how our pictures are held against what the paper says of it.
+
+    number     as the paper counts it, e.g. "8 (d)"
+    sentence   what the paper says, in English
+    criterion  what is measured, and which values make the sentence true
+    scenes     names of the gallery's scenes that it is judged by, whose pictures stand under it
+    judge      takes what was measured of them
+    labels     beginnings of the labels of those pictures; empty for all
+    reading    what the paper leaves open, and how it is read here
+    sweep      runs small variants: the table shows where the sentence holds and where it does not. A figure that is
+               not reproduced needs one.
+    """
+
+    number: str
+    sentence: str
+    criterion: str
+    scenes: tuple[str, ...]
+    judge: Callable[[Measures], Finding]
+    labels: tuple[str, ...] = ()
+    reading: str = ""
+    sweep: Callable[[], Table] | None = None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A figure with what was found, and the table of its sweep."""
+
+    figure: Figure
+    finding: Finding
+    swept: Table | None
+
+    @property
+    def word(self) -> str:
+        return "reproduced" if self.finding.holds else "not reproduced"
+
+    @property
+    def stands(self) -> bool:
+        """Whether it is reproduced, or a sweep shows why not."""
+        return self.finding.holds or self.swept is not None
+
+
 @dataclass(frozen=True)
 class Gallery:
     """Scenes that are shown on one page.
@@ -66,6 +123,7 @@ class Gallery:
     section      heading under which a scene's pictures stand, by its name
     apart        label of pictures that stand after the others of a section
     alike        whether the scenes take about as long, so that none is tried beforehand
+    figures      of a paper; their scenes' pictures stand under them instead of under a section
     """
 
     title: str
@@ -78,6 +136,7 @@ class Gallery:
     apart: str = ""
     alike: bool = False
     table: Callable[[Sequence[ShownScene]], Table] = list_measured
+    figures: Sequence[Figure] = ()
 
 
 Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapping[str, float]]]
@@ -144,3 +203,12 @@ def compare(differences: Sequence[Difference], shown: Mapping[str, ShownScene]) 
             ]
             rows.append([says, *texts, number(ratio), "bar met" if ratio >= EFFECT else "missed"])
     return rows
+
+
+def judge_figures(figures: Sequence[Figure], shown: Mapping[str, ShownScene]) -> list[Verdict]:
+    """The verdicts on those figures whose scenes have all been run."""
+    measured = {name: one.measured for name, one in shown.items()}
+    return [
+        Verdict(figure, figure.judge({name: measured[name] for name in figure.scenes}), figure.sweep and figure.sweep())
+        for figure in figures if all(name in shown for name in figure.scenes)
+    ]  # fmt: skip

@@ -25,8 +25,8 @@ from nuno.formatting import for_json
 from nuno.output_files import replacing
 from nuno_schemas.errors import BadInput, RunFailed
 
-BAD = ("failed", "missed", "diverged", "contradicts", "slower")
-GOOD = ("bar met", "aim met", "agrees", "faster")
+BAD = ("failed", "missed", "not reproduced", "diverged", "contradicts", "slower")
+GOOD = ("reproduced", "bar met", "aim met", "agrees", "faster")
 """Words that colour a cell that begins with them."""
 LONG = 26
 """Cells with more characters than this wrap."""
