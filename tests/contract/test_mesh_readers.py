@@ -353,6 +353,20 @@ def test_strips_are_triangles_and_only_the_scene_that_is_shown_is_read(tmp_path:
     assert (normal[:, 2] > 0.0).all() and len(mesh.points) == 8
 
 
+@pytest.mark.parametrize("scenes", [{}, {"scenes": []}])
+@pytest.mark.parametrize("required", [True, False])
+def test_nodes_that_are_not_visible_are_left_out_with_those_below(
+    scenes: dict[str, Any], required: bool, tmp_path: Path
+) -> None:
+    hidden = {"children": [2], "extensions": {"KHR_node_visibility": {"visible": False}}}
+    shown = {"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": True}}}
+    nodes = [{"children": [1, 3]}, hidden, {"mesh": 0, "translation": [5, 0, 0]}, shown]
+    said = {"nodes": nodes, "extensionsUsed": ["KHR_node_visibility"]} | scenes
+    said |= {"extensionsRequired": ["KHR_node_visibility"]} if required else {}
+    x = load_mesh(glb(tmp_path / "a.glb", BOX, said)).points
+    assert len(x) == 8 and x.max() == X.max()
+
+
 @pytest.mark.parametrize(
     ("said", "name"),
     [

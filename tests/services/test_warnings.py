@@ -179,6 +179,21 @@ def test_bare_numbers_are_looked_at_in_all_of_a_scene() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("form", "rotations", "key"),
+    [
+        ("euler", [[0, 0, 0], [0, "180 deg", 0], [0, "360 deg", 0]], None),
+        ("euler", [[0, 0, 0], [0, "90 deg", 0], [0, "-110 deg", 0]], 2),
+        ("axis_angle", [[0, 1, 0, 0], [0, 1, 0, "270 deg"], [0, 1, 0, 0]], 1),
+        ("quaternion", [[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0]], None),
+    ],
+)
+def test_keys_that_are_turned_the_other_way_are_said(form: str, rotations: list[list[Any]], key: int | None) -> None:
+    motion = {"plugin": "keyframes", "times": [0, 1, 2], "form": form, "rotations": rotations}
+    found = hanging({"bodies": [{"name": "box", "collider": {"plugin": "sphere", "radius": 0.1}, "motion": motion}]})
+    assert [text.partition(":")[0] for text in found] == ([f"bodies[0].motion.rotations[{key}]"] if key else [])
+
+
 @pytest.mark.parametrize("name", shipped.scenes())
 def test_shipped_scenes_are_beyond_doubt(name: str) -> None:
     assert scene_warnings(read(shipped.find(name))) == []

@@ -64,15 +64,21 @@ def check_keys(config: KeyframesConfig) -> None:
             raise BadInput(
                 f"a rotation as {config.form} has {WIDTH[config.form]} numbers", field=f"rotations[{k}]", value=values
             )
-    angles = {"euler": slice(3), "axis_angle": slice(3, 4), "quaternion": slice(0)}[config.form]
-    for k, (one, other) in enumerate(itertools.pairwise(config.rotations or [])):
-        turned = max((abs(b - a) for a, b in zip(one[angles], other[angles], strict=True)), default=0.0)
+    for k, values in enumerate(config.rotations[1:] if config.rotations else [], 1):
+        turned = turn_between(config, k)
         if turned > TURN:
             raise BadInput(
                 f"{turned / (2.0 * math.pi):.3g} turns between two keys are lost: a body turns the shorter way",
-                field=f"rotations[{k + 1}]", value=other, limit="less than one turn from key to key",
+                field=f"rotations[{k}]", value=values, limit="less than one turn from key to key",
                 remedy="add a key for each half turn; a bare number is in radians, degrees are written '90 deg'",
             )  # fmt: skip
+
+
+def turn_between(config: KeyframesConfig, k: int) -> float:
+    """The largest angle [rad] written between a key and the one before it."""
+    angles = {"euler": slice(3), "axis_angle": slice(3, 4), "quaternion": slice(0)}[config.form]
+    one, other = (config.rotations or [])[k - 1 : k + 1]
+    return max((abs(b - a) for a, b in zip(one[angles], other[angles], strict=True)), default=0.0)
 
 
 def read_rotation(values: list[float], form: str, field: str) -> Float:
@@ -131,3 +137,14 @@ class Keyframes:
             loop=c.end == "loop",
         )
         return Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), keys.pose)
+
+    def turned_back(self, config: BaseModel) -> list[str]:
+        """Say of the first key that is more than half a turn from the one before it that it is turned the other way."""
+        c = cast(KeyframesConfig, config)
+        turns = [turn_between(c, k) for k in range(1, len(c.rotations or []))]
+        far = [k for k, turn in enumerate(turns, 1) if math.pi * (1.0 + 1e-9) < turn <= TURN]
+        return [
+            f"rotations[{k}]: it is {math.degrees(turns[k - 1]):.4g} deg from the key before, and a body turns the "
+            f"shorter way{f' (so do {len(far) - 1:,} more keys)' if len(far) > 1 else ''}: add a key for each half turn"
+            for k in far[:1]
+        ]

@@ -23,8 +23,8 @@ from nuno_schemas.fabric import Float
 TYPES = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 HARMLESS = (
-    "KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_", "EXT_lights_",
-    "MSFT_texture_",
+    "KHR_mesh_quantization", "KHR_node_visibility", "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp",
+    "EXT_texture_", "EXT_lights_", "MSFT_texture_",
 )  # fmt: skip
 """prefixes of extensions that are read, or change nothing of where a surface is"""
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -140,14 +140,18 @@ def read_parts(document: Any, data: bytes) -> Iterator[Part]:
 
 
 def _shown(document: Any) -> list[int]:
-    """Return the nodes of the scene that is shown, ascending; all if the file has none."""
+    """Return the nodes of the scene that is shown, ascending; of all nodes if the file has none. A node that is not
+    visible (KHR_node_visibility) hides those below it, too.
+    """
     nodes, scenes = document.get("nodes", []), document.get("scenes")
-    if not scenes:
-        return list(range(len(nodes)))
-    waiting, found = list(scenes[document.get("scene", 0)].get("nodes", ())), set[int]()
+    hidden = {k for k, node in enumerate(nodes)
+              if not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)}  # fmt: skip
+    below = {child for node in nodes for child in node.get("children", ())}
+    roots = scenes[document.get("scene", 0)].get("nodes", ()) if scenes else set(range(len(nodes))) - below
+    waiting, found = list(roots), set[int]()
     while waiting:
         node = waiting.pop()
-        if node not in found:
+        if node not in found | hidden:
             found.add(node)
             waiting += nodes[node].get("children", ())
     return sorted(found)

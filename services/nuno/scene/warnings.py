@@ -33,7 +33,14 @@ TOLERANCE = 1e-6
 def scene_warnings(loaded: Loaded) -> list[str]:
     """Return warnings about a scene."""
     empty = [f"{field} is empty: {EMPTY}; null is none on purpose" for field in loaded.empty]
-    return [*rounded_times(loaded), *rounded_steps(loaded), *empty, *implausible_numbers(loaded), *left_out(loaded)]
+    return [
+        *rounded_times(loaded),
+        *rounded_steps(loaded),
+        *empty,
+        *implausible_numbers(loaded),
+        *left_out(loaded),
+        *turned_back(loaded),
+    ]
 
 
 def left_out(loaded: Loaded) -> list[str]:
@@ -48,6 +55,12 @@ def left_out(loaded: Loaded) -> list[str]:
             left = one.plugin.left_out(one.config, loaded.files) if hasattr(one.plugin, "left_out") else ()
             texts += [f"{one.field}: {text}" for text in left]
     return texts
+
+
+def turned_back(loaded: Loaded) -> list[str]:
+    """Return what motions turn the other way than is written, by `turned_back(config)` of their plugins."""
+    motions = [one for one in loaded.motions if one is not None and hasattr(one.plugin, "turned_back")]
+    return [f"{one.field}.{text}" for one in motions for text in one.plugin.turned_back(one.config)]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:
