@@ -1,8 +1,11 @@
-"""`nuno bench integrators SCENE`: the skirt paper's comparison of methods, repeated and reported as it is."""
+"""`nuno bench integrators SCENE`: the skirt paper's comparison of methods, repeated and reported as it is, and maps of
+the constants at which each of the paper's sentences holds.
+"""
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +25,7 @@ from nuno_bench.problem import make_problem
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Report, Table, number
 from nuno_bench.report.plots import Curve, Panel
+from nuno_bench.stability import mesh_overrides, stiffen
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
@@ -32,6 +36,8 @@ from nuno_schemas.fabric import Float
 
 INTEGRATORS = ("euler", "symplectic_euler", "rk4", "rk4_printed")
 SPLIT = "bodies.0.collider.split"
+PAPERS_CONTACT = ("contact={plugin: penalty, margin: 0 m}",)
+"""Overrides for the paper's contact, whose bodies have no margin."""
 RUNAWAY = 10.0
 """A run counts as run away once its energy has grown by this multiple of the work that lifts the
 garment by its own size. Growth, and that work, are the same wherever height zero is; the energy
@@ -44,7 +50,8 @@ class Trace:
     """One run.
 
     series   (frames + 1,) per name of SERIES: time [s], energies [J], deepest penetration [m],
-             mean distance of free vertices from the bodies [m], largest stretch (1 = twice as long)
+             mean distance of free vertices from the bodies [m], largest stretch (1 = twice as long); both by the bodies
+             that it is judged by, whichever it touched
     ended    [s] when the state stopped being finite, or None
     seconds  time of all steps, per repeat; steps taken; limit: largest stable step [s]
     lift     work that lifts the garment by its own size, the diagonal of its box at the start [J]; 0 without gravity
@@ -125,7 +132,7 @@ def run_experiment(
     """
     contacts = scene_file.read(path, overrides).contacts
     if any(contact.name == "penalty" and "margin" not in contact.given for contact in contacts):
-        overrides = ["contact={plugin: penalty, margin: 0 m}", *overrides]
+        overrides = [*PAPERS_CONTACT, *overrides]
     variants = [(name, split) for split in (True, False) for name in integrators]
     scenes = [
         scene_file.read(
@@ -145,15 +152,22 @@ def run_experiment(
     return traces
 
 
-def run_variant(loaded: Loaded, name: str, split: bool, measured: bool = True) -> Trace:
-    """Run a variant to its end, or to the frame in which it diverges; unmeasured runs are only timed."""
-    problem, chosen, bodies = make_problem(loaded), loaded.integrator, build_bodies(loaded)
+def run_variant(
+    loaded: Loaded, name: str, split: bool, measured: bool = True, shape: Loaded | None = None, stiffness: float = 1.0
+) -> Trace:
+    """Run a variant to its end, or to the frame in which it diverges; unmeasured runs are only timed.
+
+    `shape` is a scene whose bodies it is judged by, instead of its own; springs are `stiffness` times as stiff.
+    """
+    problem, chosen, bodies = make_problem(loaded), loaded.integrator, build_bodies(shape or loaded)
+    if stiffness != 1.0:
+        problem = replace(problem, system=replace(problem.system, fabric=stiffen(problem.fabric, stiffness)))
     limit = problem.limit(chosen.plugin, chosen.config)
     steps = problem.own_steps(limit)
     run, rows = problem.run(chosen.plugin, chosen.config, steps), list[tuple[float, ...]]()
-    for t, x, report, poses in zip(run.series.t, run.series.x, run.reports, problem.poses, strict=False):
-        if measured and poses is not None:
-            distance = signed_distance(x, bodies.geometry, poses)
+    for t, x, report in zip(run.series.t, run.series.x, run.reports, strict=False):
+        if measured:
+            distance = signed_distance(x, bodies.geometry, bodies.poses(t))
             finite = distance[np.isfinite(distance)]
             inside, mean = (max(0.0, -finite.min()), finite.mean()) if finite.size else (np.nan, np.nan)
             energy = [float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]]
@@ -223,7 +237,9 @@ def integrators_command(args: argparse.Namespace) -> int:
     print(runs(traces).text())
     for claim, seen, verdict in compare_with_paper(traces):
         print(f"\n{claim}: {verdict}\n  {seen}")
-    found = report(path.stem, traces, machine.about(others))
+    cells = map_settings(path, args.overrides, lambda text: print(text, file=sys.stderr))
+    print(regions(cells).text())
+    found = report(path.stem, traces, cells, machine.about(others))
     found.write_beside(args.out / f"integrators-{path.stem}", args.docs, "integrators")
     return 0
 
@@ -247,17 +263,21 @@ def runs(traces: Sequence[Trace]) -> Table:
     return Table(HEADINGS, rows, CAPTION)
 
 
-def report(scene: str, traces: Sequence[Trace], about: Mapping[str, str]) -> Report:
+def report(scene: str, traces: Sequence[Trace], cells: Sequence[Cell], about: Mapping[str, str]) -> Report:
     """The page, all figures with their series, and the documentation's section."""
+    where, drawn_map = regions(cells), euler_map(cells)
     found, table = compare_with_paper(traces), runs(traces)
     claims = Table(("the paper", "here", ""), found, "Verdicts follow from the figures below.", prose=True)
     drawn = [(name, [figure([trace for trace in traces if trace.split == split])])
              for split, name in ((True, "Bones in pieces"), (False, "Whole bones"))]  # fmt: skip
-    sections: page.Sections = [("What was seen, and what the skirt paper says", [claims]), ("Runs", [table]), *drawn]
+    sections: page.Sections = [("What was seen, and what the skirt paper says", [claims]),
+                               ("Where it holds", [where, drawn_map]), ("Runs", [table]), *drawn]  # fmt: skip
     data = {"runs": [vars(trace) | trace.derived for trace in traces], "findings": [one._asdict() for one in found]}
     rows = [{"integrator": trace.integrator, "split": trace.split} | dict(zip(SERIES, values, strict=True))
             for trace in traces for values in zip(*(trace.series[name] for name in SERIES), strict=True)]  # fmt: skip
-    return Report(f"Integrators on {scene}", LEAD, sections, about, data, [claims, table, CAPTION], rows)
+    return Report(
+        f"Integrators on {scene}", LEAD, sections, about, data, [claims, where, drawn_map, table, CAPTION], rows
+    )
 
 
 def figure(traces: Sequence[Trace]) -> Figure:
@@ -371,3 +391,156 @@ def _ending(trace: Trace) -> str:
 
 def _length(metres: float) -> str:
     return f"{metres * 1e3:.3g} mm" if metres < 1.0 else f"{number(metres)} m"
+
+
+# Maps over stiffness, damping, mesh and step: where each of the paper's sentences holds. The paper prints a step and
+# none of its constants, so that one set of constants decides nothing.
+
+STIFFNESS = (1 / 16, 1 / 4, 1.0)
+"""Multiples of the scene's springs."""
+DAMPING = (0.5, 2.0, 8.0, 32.0)
+"""Of the motion [1/s]."""
+MESHES = (0.4, 0.7, 1.0)
+"""Multiples of the scene's columns and rows."""
+STEPS = (0.5e-3, 2e-3)
+"""[s]; the paper's is 2 ms."""
+VIOLENT = 4.0
+"""Euler moves violently from this multiple of symplectic Euler's largest kinetic energy on."""
+LEAVES = 1.2
+"""Cloth leaves the body from this multiple of its mean distance by symplectic Euler in the same frame on."""
+WHOLE = "whole bones"
+"""Symplectic Euler with one capsule a bone."""
+CALM, ROUGH, OFF, LOST = "moves as symplectic Euler", "violent", "violent, off the body", "runs away"
+CLASSES = {CALM: "#0072b2", ROUGH: "#e69f00", OFF: "#b03a00", LOST: "#8a8f98"}
+"""What Euler does, and its colour."""
+
+
+HOW = (
+    f"Settings: springs {', '.join(map(number, STIFFNESS))} times as stiff as the scene's, damping "
+    f"{', '.join(map(number, DAMPING))} /s, meshes of {', '.join(map(number, MESHES))} times as many columns and rows, "
+    f"steps of {', '.join(number(1e3 * dt) for dt in STEPS)} ms. Violent: {VIOLENT:g} times symplectic Euler's largest "
+    f"kinetic energy. Off the body: {LEAVES:g} times its mean distance in the same frame. Deeper: {DEEPER:g} times, by "
+    "the deepest vertex, into the body with bones in pieces; contact is the paper's, without a margin."
+)
+
+
+class Setting(NamedTuple):
+    """A point of the maps: multiples of the scene's stiffness and mesh, damping [1/s] and step [s]."""
+
+    stiffness: float
+    damping: float
+    mesh: float
+    dt: float
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A setting, and its runs by method, bones in pieces, and by WHOLE; depths are into bones in pieces by all."""
+
+    setting: Setting
+    runs: Mapping[str, Trace]
+
+    def deeper(self, name: str) -> float:
+        """Penetration of a run over symplectic Euler's with bones in pieces."""
+        return self.runs[name].peak("penetration") / max(self.runs["symplectic_euler"].peak("penetration"), 1e-9)
+
+    def slower(self, name: str) -> float:
+        """Time of a step over symplectic Euler's."""
+        return self.runs[name].microseconds / self.runs["symplectic_euler"].microseconds
+
+    @property
+    def euler(self) -> str:
+        """Which of CLASSES Euler is in."""
+        mine, base = self.runs["euler"], self.runs["symplectic_euler"]
+        if mine.runaway is not None:
+            return LOST
+        if mine.peak("kinetic") < VIOLENT * base.peak("kinetic"):
+            return CALM
+        return OFF if self.farthest >= LEAVES else ROUGH
+
+    @property
+    def farthest(self) -> float:
+        """Largest of Euler's mean distances over symplectic Euler's in the same frame."""
+        mine, base = self.runs["euler"].series["distance"], self.runs["symplectic_euler"].series["distance"]
+        frames = min(len(mine), len(base))
+        return float(np.nanmax(mine[:frames] / base[:frames]))
+
+
+def map_settings(path: Path, overrides: Sequence[str], say: Callable[[str], None]) -> list[Cell]:
+    """Run every method at every setting of a scene. Raises BadInput for a scene that cannot be run."""
+    settings = [Setting(*one) for one in itertools.product(STIFFNESS, DAMPING, MESHES, STEPS)]
+    cells = []
+    for i, setting in enumerate(settings, 1):
+        if i % 6 == 1:
+            say(f"map, setting {i} of {len(settings)}")
+        cells.append(Cell(setting, _run_setting(path, overrides, setting)))
+    return cells
+
+
+def setting_overrides(path: Path, overrides: Sequence[str], setting: Setting) -> list[str]:
+    """Overrides of a scene for a setting, but for its stiffness."""
+    own = [] if setting.mesh == 1.0 else mesh_overrides(path, overrides, setting.mesh)
+    return [*PAPERS_CONTACT, *overrides, *own, f"damping={setting.damping}", f"solver.dt={setting.dt} s",
+            "allow_unstable=true"]  # fmt: skip
+
+
+def _run_setting(path: Path, overrides: Sequence[str], setting: Setting) -> dict[str, Trace]:
+    given = setting_overrides(path, overrides, setting)
+    shape = scene_file.read(path, [*given, f"{SPLIT}=true"])
+    runs = {}
+    for name, method, split in (*((name, name, True) for name in INTEGRATORS), (WHOLE, "symplectic_euler", False)):
+        loaded = scene_file.read(path, [*given, f"solver.plugin={method}", f"{SPLIT}={str(split).lower()}"])
+        runs[name] = run_variant(loaded, method, split, shape=shape, stiffness=setting.stiffness)
+    return runs
+
+
+def regions(cells: Sequence[Cell]) -> Table:
+    """For each sentence of the paper, at how many settings it holds, and at which."""
+    rows = [
+        _region("explicit Euler survives", cells, lambda cell: cell.euler != LOST),
+        _region("it survives and moves violently", cells, lambda cell: cell.euler in (ROUGH, OFF)),
+        _region("and cloth leaves the body", cells, lambda cell: cell.euler == OFF),
+    ]
+    for name, what in (
+        ("rk4", "by Runge-Kutta cloth sinks in deeper"),
+        ("rk4_printed", "so it does by Runge-Kutta as printed"),
+        (WHOLE, "whole bones let cloth deeper into the body"),
+    ):
+        ratios = {cell.setting: cell.deeper(name) for cell in cells}
+        row = _region(what, cells, lambda cell, ratios=ratios: ratios[cell.setting] >= DEEPER)  # type: ignore[misc]
+        rows.append([*row[:-1], f"{row[-1]}; {_range(list(ratios.values()))} as deep as symplectic Euler"])
+    times = [cell.slower("rk4") for cell in cells]
+    slower = f"{sum(time > SLOWER for time in times)} of {len(cells)}"
+    rows.append(["a step of Runge-Kutta takes longer", slower, f"{_range(times)} symplectic Euler's time"])
+    return Table(("sentence", "settings", "where"), rows, HOW, prose=True)
+
+
+def _region(says: str, cells: Sequence[Cell], holds: Callable[[Cell], bool]) -> list[str]:
+    """A sentence, at how many settings it holds, and the range of each of their values."""
+    found = [cell.setting for cell in cells if holds(cell)]
+    parts = [
+        f"{name} {', '.join(number(scale * value) for value in sorted({one[i] for one in found}))}{unit}"
+        for i, (name, scale, unit) in enumerate(
+            (("stiffness", 1.0, ""), ("damping", 1.0, " /s"), ("mesh", 1.0, ""), ("step", 1e3, " ms"))
+        )
+    ]
+    return [says, f"{len(found)} of {len(cells)}", "; ".join(parts) if found else "nowhere"]
+
+
+def _range(ratios: Sequence[float]) -> str:
+    """Smallest, largest and median of ratios."""
+    return f"{number(min(ratios))} to {number(max(ratios))} times, in the median {number(statistics.median(ratios))},"
+
+
+def euler_map(cells: Sequence[Cell]) -> Figure:
+    """What Euler does over stiffness and damping, a panel a mesh and step."""
+    panels = []
+    for mesh, dt in itertools.product(MESHES, STEPS):
+        own = [cell for cell in cells if (cell.setting.mesh, cell.setting.dt) == (mesh, dt)]
+        curves = []
+        for name, colour in CLASSES.items():
+            there = [cell.setting for cell in own if cell.euler == name]
+            x, y = (np.array([one[i] for one in there], float) for i in (0, 1))
+            curves.append(Curve(name, x, y, colour, marker="X" if name == LOST else "s", size=8.0, loose=True))
+        panels.append(Panel(f"mesh {mesh:g}, step {1e3 * dt:g} ms", curves, "stiffness", "damping [1/s]", log="xy"))
+    return Figure(plots.draw(panels, 2, 2.0, shared=True), "What explicit Euler does, by setting.", "euler")

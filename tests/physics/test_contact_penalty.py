@@ -466,3 +466,18 @@ def test_triangles_keep_a_margin_and_points_beside_them_do_not(shape):
         force[margin] = force_on(contact, x.T.copy())[1]
     assert (force["auto"][:3] > 0.0).all() and force["auto"][3] == 0.0
     assert not force[0.0].any() and (force[5e-3] > 0.0).all()
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.3, -0.2), (0.0, 0.3, 0.0)])
+def test_a_sphere_rests_on_a_capsule_at_the_sum_of_their_radii(start):
+    """The skirt paper's capsule against a sphere of radius r'': the margin is the sphere's radius. It sinks m g / k."""
+    mass, r, sphere = np.array([2e-3]), 0.1, 0.03
+    at, none = np.array([[0.0, 0.5, 0.0]]), np.zeros((0, 3), np.int32)
+    fabric = Fabric("sphere", at, 0.0 * at, mass, np.zeros(1, bool), none)
+    shape = geometry(capsule(start, (0.0, 0.3, 0.0), r))
+    (contact,) = Penalty().prepare(PenaltyConfig(margin=sphere), fabric, shape, DOWN).data
+    x, v = points((0.0, 0.3 + r + sphere + 1e-4, 0.0)), np.zeros((3, 1))
+    move(contact, 1.0)
+    fall(x, v, mass, DOWN, contact, 0.0, 1.0, 20000, 1e-4, np.zeros((3, 1)))
+    depth = 0.3 + r + sphere - x[1, 0]
+    assert depth == pytest.approx(mass[0] * G / contact.stiffness[0, 0], rel=1e-6) and depth < 0.1 * sphere

@@ -20,7 +20,7 @@ from nuno.python_api.plan import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
-from nuno_bench.gallery import contact, dye, knit, sewn, wrinkle
+from nuno_bench.gallery import contact, dye, knit, sewn, skirt, wrinkle
 from nuno_bench.gallery.kind import (
     DIFFERENCE_HEADINGS,
     EFFECT,
@@ -35,9 +35,10 @@ from nuno_bench.report import page
 from nuno_schemas.errors import BadInput
 
 KINDS: dict[str, Gallery] = {
-    "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "wrinkle": wrinkle.KIND,
+    "contact": contact.KIND, "dye": dye.KIND, "knit": knit.KIND, "sewn": sewn.KIND, "skirt": skirt.KIND,
+    "wrinkle": wrinkle.KIND,
 }  # fmt: skip
-PAPERS = {"knit": "stocking", "dye": "dye", "wrinkle": "wrinkle"}
+PAPERS = {"skirt": "skirt", "knit": "stocking", "dye": "dye", "wrinkle": "wrinkle"}
 """Galleries of a paper's figures, and what the paper is about."""
 ALL_PAPERS = "papers"
 FIGURE_HEADINGS = ("figure", "what the paper says", "criterion", "here", "verdict")
@@ -47,7 +48,7 @@ NEEDED = "--patterns, --body"
 
 def gallery_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=[*KINDS, ALL_PAPERS], help="of scenes: contact, cloth that meets cloth; dye, "
-                        "knit and wrinkle, the figures of the papers; sewn, garments from patterns; papers, the "
+                        "knit, skirt and wrinkle, the figures of the papers; sewn, garments from patterns; papers, the "
                         "figures of all papers")  # fmt: skip
     parser.add_argument("--scenes", metavar="A,B", help="only these, by name (default: all)")
     parser.add_argument("--out", type=Path, default=Path("recordings/gallery"), metavar="DIR",
