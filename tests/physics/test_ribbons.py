@@ -119,6 +119,17 @@ def test_ribbons_of_very_uneven_width_drop_so_too() -> None:
         assert drop(fabric)[-2:].mean() == pytest.approx(beam, rel=0.02), seed
 
 
+@pytest.mark.full
+def test_few_ribbons_of_very_uneven_width_drop_otherwise() -> None:
+    """Of 560 six are beyond 2 %, where a neck of half a cell or less bends sharply; the worst is 9 % off."""
+    errors = []
+    for seed in (*range(100, 380), *range(1000, 1280)):
+        fabric = cut(*ribbon(1, seed % 2 == 1, 0.3, True, seed), CLOTH)
+        beam = expected_drop(fabric.position[:, :2], fabric.mass, 1, 5e-5, 4.0 * CLOTH.bend_twist)
+        errors.append(abs(drop(fabric)[-2:].mean() / beam - 1.0))
+    assert sum(error > 0.02 for error in errors) <= 6 and (np.sort(errors)[-3:] < [0.025, 0.045, 0.09]).all()
+
+
 @pytest.mark.parametrize("wide", [1, 2, 4])
 def test_a_ribbon_of_scattered_points_drops_so_too(wide: int) -> None:
     """Joined after Delaunay, slivers among them: within 4 %."""
