@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from PIL import Image
 from recorded_sheet import Sheet, write
@@ -104,6 +105,19 @@ def test_a_mesh_is_told_whether_it_is_closed_and_in_which_unit(desk: Desk) -> No
     assert "hole" in rows(cloth)["as a body"] and cloth["offers"][0]["name"] == "fall"
     split = drop(desk, "split.obj", TETRAHEDRON.replace("f 1 3 2", "f 1 3 2\nf 1 3 2").encode())
     assert split["offers"] == [] and split["mistakes"][0]["words"].startswith("split.obj: ")
+
+
+@pytest.mark.parametrize("unit", ["1mm", "1dm"])
+def test_a_mesh_that_passes_through_itself_says_so_where_it_is_in_metres(desk: Desk, unit: str) -> None:
+    """Two boxes, as high as a person, cross at the height of 1 m."""
+    boxes = [trimesh.creation.box(size, trimesh.transformations.translation_matrix([0.0, 0.9, 0.0]))
+             for size in ((0.3, 1.8, 0.2), (0.2, 0.2, 0.3))]  # fmt: skip
+    mesh = trimesh.util.concatenate(boxes)
+    mesh.apply_scale({"1mm": 1000.0, "1dm": 10.0}[unit])
+    seen = drop(desk, "scan.obj", trimesh.exchange.obj.export_obj(mesh).encode())
+    assert rows(seen)["unit"].startswith(f"taken as {unit}") and "passes through itself" in rows(seen)["remark"]
+    place = [float(word) for word in re.findall(r"\[(.*?)\]", rows(seen)["remark"])[0].split(",")]
+    assert 0.1 < place[1] < 1.8 and max(map(abs, place)) < 1.8
 
 
 def test_a_pattern_that_cannot_be_sewn_says_why_by_line(desk: Desk) -> None:

@@ -168,10 +168,11 @@ def _find_flags(body: Path, patterns: list[Path]) -> tuple[str, bool]:
     shape, fault = build_body(body)
     if shape is None:
         return "", False
-    if fault:
-        print(f"mend       {body}: {'; '.join([fault.problem, *shape.notes])}", flush=True)
     size = float(np.ptp(shape.vertices, axis=0).max())
     unit = unit_for(size, patterns)
+    if fault:
+        scaled = build_body(body, unit)[0] or shape  # its notes name places in metres
+        print(f"mend       {body}: {'; '.join([fault.problem, *scaled.notes])}", flush=True)
     if unit != "1m":
         text = f"taken as {unit}, {size * UNITS[unit]:.3g} m long: in metres it would be {size:.3g} m"
         print(f"unit       {body}: {text}", flush=True)

@@ -64,14 +64,16 @@ def name_garments(stems: Sequence[str]) -> list[str]:
     return names
 
 
-def build_body(path: Path) -> tuple[BodyShape | None, BadInput | None]:
-    """Return the body of a mesh's file, and the fault for which it must be mended; no body if that is not enough."""
+def build_body(path: Path, scale: str = "1 m") -> tuple[BodyShape | None, BadInput | None]:
+    """Return the body of a mesh's file in this unit, and the fault for which it must be mended; no body if that is not
+    enough.
+    """
     mesh, files = registry.load("nuno.colliders", "mesh"), SceneFiles(path.parent)
     try:
-        return mesh.build(mesh.Config(file=path.name), None, files), None
+        return mesh.build(mesh.Config(file=path.name, scale=scale), None, files), None
     except BadInput as fault:
         with contextlib.suppress(BadInput):
-            return mesh.build(mesh.Config(file=path.name, mend=True), None, files), fault
+            return mesh.build(mesh.Config(file=path.name, scale=scale, mend=True), None, files), fault
         return None, fault
 
 

@@ -112,8 +112,6 @@ def _mesh(path: Path) -> Seen:
         except BadInput as no_cloth:
             is_cloth, title = False, "a mesh with mistakes"
             mistakes = [] if shape else [fault] if glb else [fault, no_cloth]
-    notes = shape.notes if shape else ()
-    rows += [("remark", note) for note in notes]
     if not len(x):
         return Seen("mesh", title, rows, [_describe_error(one, name) for one in mistakes])
     longest = float(np.ptp(x, axis=0).max())
@@ -121,11 +119,14 @@ def _mesh(path: Path) -> Seen:
     only = next(iter(fits)) if len(fits) == 1 else "1m"
     # A mesh of a plausible size in metres may be a ball as well as a person.
     unit = "1m" if SMALLEST <= longest <= LARGEST else person if person != "1m" else only
+    scaled = shape if unit == "1m" else build_body(path, unit)[0]  # remarks name places in metres
+    notes = scaled.notes if scaled else ()
     size = np.ptp(x, axis=0) * UNITS[unit]
     low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
     rows = [
         ("triangles", f"{len(faces):,}"), ("vertices", f"{len(x):,}"), ("closed", "no" if fault else "yes"),
         ("size", " x ".join(f"{side:.3g}" for side in size) + " m (x, y, z; y is up)"), *rows,
+        *(("remark", note) for note in notes),
     ]  # fmt: skip
     if unit != "1m":
         rows.append(("unit", f"taken as {unit}: in metres it would be {longest:.3g} m long"))
