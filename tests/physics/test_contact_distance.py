@@ -6,7 +6,8 @@ import trimesh
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
 from nuno.collision.bodies import surface
-from nuno_contact.penalty.contact import STRETCHED, pose_bodies, triangle_spread
+from nuno_contact.margins import STRETCHED, triangle_spread
+from nuno_contact.penalty.contact import pose_bodies
 from nuno_contact.penalty.distance import Bodies, primitive_distance
 from nuno_schemas.bodies import rotation_matrices
 

@@ -43,10 +43,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.distance_fields.sample import Fields, join_fields
+from nuno_contact.margins import round_margin, roundness
 from nuno_contact.penalty.distance import (  # fmt: skip
     BOX,
     CAPSULE,
     FIELD,
+    PLANE,
     Bodies,
     Deepest,
     are_apart,
@@ -66,6 +68,8 @@ from nuno_schemas.layout import Bounds
 
 # Primitives of bodies posed at a moment of a frame, by the frames that carry them.
 
+CORNER = 1.0 / math.sqrt(3.0)
+"""cosine of the angle between a cube's diagonal and its faces' normals"""
 SHORTEST = 1e-300
 """A capsule with at most this squared length [m^2] is a sphere: the reciprocal would overflow."""
 
@@ -97,8 +101,8 @@ def pose_primitive(p: int, f: int, contact: Contact) -> None:
             along = m0 * b[p, 0] + m1 * b[p, 1] + m2 * b[p, 2]
             low, high = -math.inf, math.inf
         posed[p, c], posed[p, 3 + c], posed[p, 8 + c], posed[p, 11 + c] = start, along, low, high
-    posed[p, 6] = 1.0 / square if square > SHORTEST else 0.0
-    posed[p, 7], posed[p, 14], posed[p, 15] = radius[p], shapes.curvature_radius[p], shapes.margin[p]
+    posed[p, 6] = shapes.cosine[p] if kind in (BOX, FIELD) else 1.0 / square if square > SHORTEST else 0.0
+    posed[p, 7], posed[p, 14], posed[p, 15] = radius[p], shapes.ball[p], shapes.margin[p]
 
 
 @block_kernel
@@ -326,8 +330,9 @@ class Shapes(NamedTuple):
     """(p, 3), b (p, 3) and radius (p,) [m] in the frame, as in Geometry"""
     b: Float
     radius: Float
-    curvature_radius: Float
-    """(p,) least radius of curvature of a distance field [m], 0 for others"""
+    ball: Float
+    """(p,) radius [m], and cosine (p,), of boxes and fields for nuno_contact.margins.round_margin"""
+    cosine: Float
     margin: Float
     """(p,) distance from the surface at which all vertices are kept [m]"""
     largest_margin: Float
@@ -493,11 +498,12 @@ def make_contact(
     radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
     fields = [field for field in g.fields if field is not None]
     all_have, spread = spread is None, np.zeros(n) if spread is None else spread
-    curved = np.array([least_radius(*g.mesh(p)) if g.kind[p] == FIELD else 0.0 for p in order.tolist()])
-    round_radius = np.where(kind == CAPSULE, radius, curved)
-    widest = np.where(kind == BOX, np.sqrt(0.5 * spread.max(initial=0.0)), 0.0)
-    round_kind = (kind == CAPSULE) | of_field
-    widest[round_kind] = (np.sqrt(round_radius**2 + spread.max(initial=0.0)) - round_radius)[round_kind]
+    ball, cosine = np.where(kind == CAPSULE, radius, b.min(axis=1)), np.where(kind == BOX, CORNER, 1.0)
+    for p in np.flatnonzero(of_field).tolist():
+        ball[p], cosine[p] = roundness(*g.mesh(order[p]))
+    most = float(spread.max(initial=0.0))
+    widest = np.array([round_margin(most, *pair) for pair in zip(ball.tolist(), cosine.tolist(), strict=True)])
+    widest[kind == PLANE] = 0.0
     for p in np.flatnonzero(of_field).tolist():
         b[p] += fields[int(radius[p])].tolerance
 
@@ -508,7 +514,7 @@ def make_contact(
         kind=np.ascontiguousarray(kind, np.int8),
         frame=np.ascontiguousarray(g.frame[order], np.int32),
         first=np.searchsorted(g.body[order], np.arange(bodies + 1)).astype(np.int32),
-        shapes=Shapes(floats(a), floats(b), floats(radius), curved, np.full(len(kind), margin), margin + widest),
+        shapes=Shapes(floats(a), floats(b), floats(radius), ball, cosine, np.full(len(kind), margin), margin + widest),
         spread=floats(np.stack([spread, np.ones(n) if all_have else spread > 0.0])),
         stiffness=floats(stiffness),
         damping=floats(damping),
@@ -530,40 +536,6 @@ def make_contact(
         tally=np.zeros((blocks, 2), np.int64),
         fields=pack_fields(fields) if of_field.any() else None,
     )
-
-
-STRETCHED = 1.05
-"""Length of a triangle's side in motion over that at the start, which a margin allows for."""
-
-
-def triangle_spread(x: Float, faces: Int) -> Float:
-    """Return a third of the square of the longest side of each vertex's triangles, stretched (n,) [m^2], 0 without any;
-    x (n, 3) [m], faces (f, 3).
-    """
-    corners, spread = x[faces], np.zeros(len(x))
-    square = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1, initial=0.0)
-    np.maximum.at(spread, faces.reshape(-1), np.repeat(STRETCHED**2 * square / 3.0, 3))
-    return spread
-
-
-def least_radius(x: Float, faces: Int) -> float:
-    """Return the radius of curvature [m] that nine tenths of a closed mesh's convex edges have at least, by length: the
-    distance between the middles of an edge's triangles over the angle between them. x (n, 3) [m], faces (f, 3).
-    """
-    corners = x[faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), SHORTEST)
-    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    order = np.lexsort(np.sort(ends, axis=1).T)
-    pairs = order[: len(order) // 2 * 2].reshape(-1, 2)
-    one, other = (pairs // 3).T
-    apart = corners[other].mean(axis=1) - corners[one].mean(axis=1)
-    bend = np.einsum("ei,ei->e", normal[other] - normal[one], apart)
-    length = np.linalg.norm(x[ends[pairs[:, 0], 0]] - x[ends[pairs[:, 0], 1]], axis=1) * (bend > 0.0)
-    radius = np.einsum("ei,ei->e", apart, apart) / np.maximum(bend, SHORTEST)
-    ascending = np.argsort(radius)
-    share = np.cumsum(length[ascending])
-    return float(radius[ascending][np.searchsorted(share, 0.1 * share[-1])]) if share[-1:].any() else 0.0
 
 
 def pack_fields(fields: Sequence[DistanceField]) -> Fields:

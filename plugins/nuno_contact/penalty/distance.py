@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.distance_fields.sample import Fields, sample, sample_distance
+from nuno_contact.margins import round_margin
 from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat
@@ -23,25 +24,16 @@ from nuno_schemas.fabric import Float, Int
 # is measured in its own axes: q = |local| - half extents, distance |max(q, 0)| outside and max(q)
 # inside, where the nearest face gives the normal.
 #
-# Contact keeps a vertex off by a margin, for triangles between vertices cut through what is round. Let a point q of a
-# triangle, sum_i b_i x_i, be inside a capsule of radius r, and a the nearest point of its axis. Then
-#
-#     |q - a|^2 = sum_i b_i |x_i - a|^2 - sum_i b_i |x_i - q|^2,
-#
-# and the last sum is at most S = L^2 / 3 for sides of at most L. So no triangle enters whose corners are all at least
-# sqrt(r^2 + S) from the axis. The same holds of any body that is a union of balls of radius r, as a mesh of curvatures
-# of at most 1 / r: sqrt(r^2 + S) - r. At an edge of a box corners outside of one of its planes by m have
-# sum_i b_i x_i^2 >= m^2 w / (1 - w), w the weight of those outside of it, and likewise for the other plane: at least
-# 2 m^2 together, so m = sqrt(S / 2). A plane needs none.
+# Contact keeps a vertex off by a margin (nuno_contact.margins), from a capsule of radius r by sqrt(r^2 + S) - r.
 #
 # `posed` (p, 16) holds one primitive a row, in world coordinates:
 #
 #     0:3   capsule end a, plane point, or centre of a box or field [m]
 #     3:6   capsule b - a, plane normal (unit), or half extents of a box or field in the axes of its frame
-#     6     1 / |b - a|^2, 0 for a sphere, plane or box
+#     6     1 / |b - a|^2 of a capsule, 0 for a sphere; cosine of a box or field (nuno_contact.margins)
 #     7     radius [m]; of a distance field, its number
 #     8:14  lowest and highest corner of its bounds, infinite for a plane; with the largest margin
-#     14    least radius of curvature r of a field [m]
+#     14    radius of a box or field (nuno_contact.margins) [m]
 #     15    a margin that is the same for all vertices that have one [m]
 #
 # `frames` (f, 18) holds one frame a row: 0:9 rotation matrix by rows, 9:12 origin, 12:15 velocity
@@ -118,7 +110,7 @@ def capsule_distance(at: Vector, spread: float, margin: float, posed: Float, p: 
 def box_distance(at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
     """Return (distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
     lx, ly, lz = turn_in((at[0] - posed[p, 0], at[1] - posed[p, 1], at[2] - posed[p, 2]), frames, f)
-    margin += math.sqrt(0.5 * spread)
+    margin += round_margin(spread, posed[p, 14], posed[p, 6])
     qx, qy, qz = abs(lx) - posed[p, 3] - margin, abs(ly) - posed[p, 4] - margin, abs(lz) - posed[p, 5] - margin
     distance = max(qx, qy, qz)
     nx, ny, nz = 0.0, 0.0, 0.0
@@ -252,19 +244,13 @@ class Bodies(NamedTuple):
 
 
 @forced_inline
-def field_margin(spread: float, posed: Float, p: Index) -> float:
-    """Return the part of a vertex's margin from field p that its triangles need [m]."""
-    return float(math.sqrt(posed[p, 14] * posed[p, 14] + spread) - posed[p, 14])
-
-
-@forced_inline
 def field_reading(
     at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
 ) -> Reading:
     """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
     distance, gx, gy, gz = sample(x, y, z, int(posed[p, 7]), fields)
-    distance -= margin + field_margin(spread, posed, p)
+    distance -= margin + round_margin(spread, posed[p, 14], posed[p, 6])
     size = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not size > 0.0:
         nx, ny, nz = across(gx, gy, gz)
@@ -304,7 +290,7 @@ def lower_field(
         within = posed[p, 8] <= px <= posed[p, 11] and posed[p, 9] <= py <= posed[p, 12]
         if within and posed[p, 10] <= pz <= posed[p, 13]:
             u, v, w = to_frame(px, py, pz, frames, f)
-            margin = posed[p, 15] * spread[1, i] + field_margin(spread[0, i], posed, p)
+            margin = posed[p, 15] * spread[1, i] + round_margin(spread[0, i], posed[p, 14], posed[p, 6])
             d = sample_distance(u, v, w, number, fields) - margin
             if d < distance[i]:
                 distance[i] = d

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.penalty.contact import make_contact, triangle_spread
-from nuno_contact.quantities import Reach
+from nuno_contact.margins import Margin, check_margin, triangle_spread
+from nuno_contact.penalty.contact import make_contact
 from nuno_contact.reaction import elastic_stiffness
-from nuno_schemas.bodies import CAPSULE, MESH, SKIN, Geometry
+from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 from nuno_schemas.plugin import Config
@@ -32,7 +32,7 @@ SHARE = 0.25
 class PenaltyConfig(Config):
     """The margin; stiffness, damping and friction belong to each body of the scene."""
 
-    margin: Reach | Literal["auto"] = Field(
+    margin: Margin = Field(
         default="auto",
         description="distance from the surface at which vertices are kept [m]; auto: as much as the triangles of each "
         "vertex, which cut through round bodies, and the body's curvature need",
@@ -90,16 +90,6 @@ def check(geometry: Geometry) -> None:
             value = float(getattr(geometry, name)[index])
             if not 0.0 <= value < np.inf:
                 raise BadInput(f"contact {name} must not be negative", field=body, value=value, limit=">= 0")
-
-
-def check_margin(margin: float, geometry: Geometry) -> None:
-    """Raise BadInput for a margin as thick as a limb: cloth would stand off like a hoop."""
-    limbs = np.where(geometry.kind == CAPSULE, geometry.radius, np.inf)
-    if margin >= limbs.min(initial=np.inf):
-        body = geometry.bodies[geometry.body[limbs.argmin()]]
-        limit = f"less than the thinnest limb of {body}, {limbs.min():.4g} m"
-        raise BadInput("the margin is as thick as a limb", field="margin", value=f"{margin:g} m", limit=limit,
-                       remedy="a few millimetres, or auto")  # fmt: skip
 
 
 class Penalty:

@@ -48,11 +48,11 @@ def hold_block(block: int, x: Float, force: Float, s: Slides) -> None:
     """Hold the forces (3, n) on a block's vertices off all bodies, in place."""
     room, tree = make_room(), s.tree
     for body in range(s.root.shape[0]):
-        f, gap = s.frame[body], s.gap[body]
-        length = TRIAL * gap
+        f = s.frame[body]
         for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
             g = (force[0, i], force[1, i], force[2, i])
-            size = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+            size, gap = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]), s.gap[body, i]
+            length = TRIAL * gap
             if s.mass[i] == 0.0 or s.clear[body, i] > NEAR * gap or not 0.0 < size < math.inf:
                 continue
             px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], s.frames, f)
@@ -119,7 +119,7 @@ def find_touching(x: Float, body: Long, s: Slides, found: Float) -> None:
             n = outward(p, near)
             for c in range(3):
                 found[c, i], found[3 + c, i] = p[c], n[c]
-            found[6, i] = near.distance - s.gap[b]
+            found[6, i] = near.distance - s.gap[b, i]
 
 
 @block_kernel
@@ -134,13 +134,13 @@ def find_entering(x: Float, body: Long, s: Slides, found: Float) -> None:
                 continue
             p, q = to_frame(x[0, i], x[1, i], x[2, i], s.frames, s.frame[b]), s.before[b, :, i]
             m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-            if s.clear[b, i] - math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) < s.gap[b]:
+            if s.clear[b, i] - math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) < s.gap[b, i]:
                 near = closest(p, s.nearest[b, i], s.root[b], tree, room)
-                if near.distance < s.gap[b]:
+                if near.distance < s.gap[b, i]:
                     n = outward(p, near)
                     for c in range(3):
                         found[c, i], found[3 + c, i] = q[c], n[c]
-                    found[6, i] = near.distance - (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) - s.gap[b]
+                    found[6, i] = near.distance - (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) - s.gap[b, i]
                     body[i] = b
 
 

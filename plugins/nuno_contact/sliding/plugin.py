@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from nuno_contact.margins import Margin, check_margin, mesh_margins, triangle_spread
 from nuno_contact.quantities import Size
 from nuno_contact.sliding.slides import BLOCK, Slides
 from nuno_geometry.check import check_closed, check_crossings
@@ -24,12 +25,14 @@ from nuno_schemas.system import Term
 
 
 class SlidingBody(NamedTuple):
-    """A body that vertices slide on: its tree, the frame that carries it, Coulomb's coefficient, the gap [m]."""
+    """A body that vertices slide on: its tree, the frame that carries it, Coulomb's coefficient, the gap of all
+    vertices or of each (n,) [m].
+    """
 
     tree: Tree
     frame: int
     friction: float
-    gap: float
+    gap: Float | float
 
 
 def make_slides(bodies: Sequence[SlidingBody], frames: int, mass: Float) -> Slides:
@@ -44,7 +47,7 @@ def make_slides(bodies: Sequence[SlidingBody], frames: int, mass: Float) -> Slid
         root=nodes[:-1].astype(np.int64),
         frame=np.array([body.frame for body in bodies], np.int32),
         friction=np.array([body.friction for body in bodies], np.float64),
-        gap=np.array([body.gap for body in bodies], np.float64),
+        gap=np.array([np.broadcast_to(body.gap, n) for body in bodies], np.float64).reshape(b, n),
         mass=np.array(mass, np.float64),
         rotation0=np.tile(np.eye(3).ravel(), (frames, 1)),
         origin0=np.zeros((frames, 3)),
@@ -89,15 +92,21 @@ _PARTS: tuple[Any, ...] = (
 
 
 class SlidingConfig(Config):
-    """The gap; friction belongs to each body of the scene."""
+    """The gap and the margin; friction belongs to each body of the scene."""
 
     gap: Size = Field(
-        default=5e-5, description="distance from the surface at which vertices rest [m], such as half a yarn's width"
+        default=5e-5, description="distance from the surface at which cloth rests [m], such as half a yarn's width"
+    )
+    margin: Margin = Field(
+        default="auto",
+        description="distance beyond the gap at which vertices of triangles are kept [m]; auto: as much as their "
+        "triangles, which cut through round bodies, and the body's curvature need",
     )
 
 
 class Sliding:
-    """Vertices keep off moving closed meshes by `gap`; see nuno_contact.sliding.slides.
+    """Vertices keep off moving closed meshes by `gap`, those of triangles also by `margin`; see
+    nuno_contact.sliding.slides.
 
     A body with a distance field is met by the triangles that the field was made of. Each body's Coulomb coefficient
     is in the Geometry; its stiffness and damping are not used. It adds no force, and so limits no step.
@@ -111,13 +120,19 @@ class Sliding:
 
     def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """Return the term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
-        gap = float(cast(SlidingConfig, config).gap)
+        gap, margin = cast(SlidingConfig, config).gap, cast(SlidingConfig, config).margin
         check_meshes(geometry)
+        if margin != "auto":
+            check_margin(margin, geometry)
+        spread = triangle_spread(fabric.position, fabric.faces)
         for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
             if not 0.0 <= friction < np.inf:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
         parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
-        bodies = [SlidingBody(build_tree(*geometry.mesh(i)), *part, gap) for i, part in enumerate(parts)]
+        bodies = list[SlidingBody]()
+        for part, mesh in zip(parts, map(geometry.mesh, range(len(geometry.kind))), strict=True):
+            own = mesh_margins(spread, *mesh) if margin == "auto" else np.where(spread > 0.0, margin, 0.0)
+            bodies.append(SlidingBody(build_tree(*mesh), *part, gap + own))
         slides = make_slides(bodies, len(geometry.frames), np.where(fabric.pinned, 0.0, fabric.mass))
         return Term(name="slides", data=(slides,))
 

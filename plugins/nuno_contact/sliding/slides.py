@@ -46,7 +46,7 @@ class Slides(NamedTuple):
     friction: Float
     """(b,) Coulomb coefficient"""
     gap: Float
-    """(b,) distance from the surface at which vertices rest [m]"""
+    """(b, n) distance from the surface at which each vertex rests [m]"""
     mass: Float
     """(n,) [kg], 0 for vertices that are held or carried: contact leaves them alone"""
     rotation0: Float
@@ -74,8 +74,8 @@ class Slides(NamedTuple):
 @block_kernel
 def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
     """Hold the vertices of one block off one body, in place in x and v (3, n)."""
-    room, tree, f, mu, gap, root = make_room(), s.tree, s.frame[body], s.friction[body], s.gap[body], s.root[body]
-    mass, frames, before, clear, nearest = s.mass, s.frames, s.before[body], s.clear[body], s.nearest[body]
+    room, tree, f, mu, root, mass = make_room(), s.tree, s.frame[body], s.friction[body], s.root[body], s.mass
+    gaps, frames, before, clear, nearest = s.gap[body], s.frames, s.before[body], s.clear[body], s.nearest[body]
     held, impulse, tally = s.planes[body], s.impulse[block, body], s.tally
     for i in range(block * BLOCK, min((block + 1) * BLOCK, x.shape[1])):
         held[6, i] = 0.0
@@ -84,7 +84,7 @@ def slide_block(block: int, x: Float, v: Float, body: int, s: Slides) -> None:
         px, py, pz = to_frame(x[0, i], x[1, i], x[2, i], frames, f)
         start = (before[0, i], before[1, i], before[2, i])
         m = (px - start[0], py - start[1], pz - start[2])
-        free = clear[i]
+        free, gap = clear[i], gaps[i]
         left = free - (1.0 + 1e-9) * math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
         before[0, i], before[1, i], before[2, i] = px, py, pz
         clear[i] = left
@@ -173,7 +173,7 @@ def find_block_room(block: int, x: Float, s: Slides) -> None:
             ex, ey, ez = px - before[0, i], py - before[1, i], pz - before[2, i]
             before[0, i], before[1, i], before[2, i] = px, py, pz
             left = clear[i] - (1.0 + 1e-9) * math.sqrt(ex * ex + ey * ey + ez * ez)
-            if not left > gap and abs(px) + abs(py) + abs(pz) < math.inf:
+            if not left > gap[i] and abs(px) + abs(py) + abs(pz) < math.inf:
                 near = closest((px, py, pz), nearest[i], root, tree, room)
                 left, nearest[i] = near.distance, near.place
             clear[i] = left
