@@ -14,7 +14,7 @@ import trimesh
 from persons import skinned
 
 from nuno.collision import distance as mesh_module
-from nuno.collision.distance import area_inside, distances, make_columns, penetration, signed_distance
+from nuno.collision.distance import distances, make_columns, measure_inside, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.plugin_contract.guards import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, Skin, rotation_matrices
@@ -115,8 +115,9 @@ def test_cloth_in_a_body_has_the_area_of_their_section(cells: int) -> None:
     still = posed(np.array([1.0, 0, 0, 0]), np.zeros(3))
     x, faces = square(1.0, cells, 0.08)
     ball = bodies((CAPSULE, np.zeros(3), np.zeros(3), 0.1))
-    area, depth = area_inside(x, faces, ball, still)
-    vertices = penetration(x, ball, still).max()
+    each, area, depth = measure_inside(x, faces, ball, still)
+    np.testing.assert_array_equal(each, penetration(x, ball, still))
+    vertices = each.max()
     if cells == 3:
         assert vertices == 0.0 and depth == pytest.approx(0.02, abs=1e-12) and area > 0.0
     else:
@@ -124,9 +125,9 @@ def test_cloth_in_a_body_has_the_area_of_their_section(cells: int) -> None:
     limb = bodies((CAPSULE, np.array([0, -1.0, 0]), np.array([0, 1.0, 0]), 0.1))
     if cells == 40:
         half = bodies((PLANE, np.array([0.003, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.0))
-        assert area_inside(x, faces, half, still)[0] == pytest.approx(0.503, rel=0.01)
-        assert area_inside(x, faces, limb, still)[0] == pytest.approx(2.0 * 0.06, rel=0.05)
-    assert area_inside(x + np.array([0, 0, 0.021]), faces, limb, still) == (0.0, 0.0)
+        assert measure_inside(x, faces, half, still).area == pytest.approx(0.503, rel=0.01)
+        assert measure_inside(x, faces, limb, still).area == pytest.approx(2.0 * 0.06, rel=0.05)
+    assert measure_inside(x + np.array([0, 0, 0.021]), faces, limb, still)[1:] == (0.0, 0.0)
 
 
 def test_cloth_in_a_mesh_is_that_in_its_ball() -> None:
@@ -138,8 +139,12 @@ def test_cloth_in_a_mesh_is_that_in_its_ball() -> None:
         vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32), owner=number,
     )  # fmt: skip
     exact = bodies((CAPSULE, np.zeros(3), np.zeros(3), 0.1))
-    (area, depth), (own, deep) = (area_inside(x, faces, body, still) for body in (mesh, exact))
-    assert area == pytest.approx(own, rel=0.01) and depth == pytest.approx(deep, abs=1e-4)
+    found, own = (measure_inside(x, faces, body, still) for body in (mesh, exact))
+    assert found.area == pytest.approx(own.area, rel=0.01)
+    assert found.area_depth == pytest.approx(own.area_depth, abs=1e-4)
+    np.testing.assert_array_equal(found.depth, penetration(x, mesh, still))
+    met = measure_inside(x, faces, mesh, still, [0])
+    assert met[1:] == (0.0, 0.0) and met.depth.tobytes() == found.depth.tobytes()
 
 
 def test_bodies_cross_the_bus_unchanged() -> None:

@@ -7,10 +7,10 @@ time, in the primitive's own frame), so that a mistake there shows here.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -220,11 +220,19 @@ def _reached(points: Float, geometry: Geometry, poses: Poses) -> list[int]:
     return np.flatnonzero((away <= reach) | (geometry.kind == PLANE) | skins).tolist()
 
 
-def area_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses) -> tuple[float, float]:
-    """Return the area [m^2] of triangles faces (f, 3) on vertices x (n, 3) that lies inside bodies, and the largest
-    depth [m], from seven points a triangle: one whose vertices are outside of a limb may cut through it.
+class Inside(NamedTuple):
+    """Depth of vertices (n,) [m] inside bodies, area [m^2] of triangles inside of them, and its largest depth [m]."""
 
-    A point q = sum_i b_i x_i of a triangle, and a the point of a capsule's axis that is nearest to it, have
+    depth: Float
+    area: float
+    area_depth: float
+
+
+def measure_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses, met: Container[int] = ()) -> Inside:
+    """Return how far cloth x (n, 3), faces (f, 3) lies inside bodies: its vertices, and, but for the bodies `met`, its
+    triangles, from seven points each: one whose vertices are outside of a limb may cut through it.
+
+    A point q = sum_i b_i x_i of a triangle, and the point a of a capsule's axis that is nearest to it, have
     |q - a|^2 = sum_i b_i |x_i - a|^2 - sum_i b_i |x_i - q|^2, and the last sum is at most L^2 / 3 for sides up to L. So
     no triangle enters a capsule whose corners are all at least sqrt(r^2 + L^2 / 3) from its axis.
     """
@@ -232,11 +240,17 @@ def area_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses) -> tuple
     faces = faces[finite[faces].all(axis=1)]
     corners = x[faces]
     spread = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1, initial=0.0) / 3.0
-    inside, deepest = np.zeros((len(faces), len(PARTS)), bool), 0.0
+    depth, inside, deepest = np.zeros(len(x)), np.zeros((len(faces), len(PARTS)), bool), 0.0
     for i in _reached(x, geometry, poses):
+        if not len(faces) or geometry.body[i] in met:
+            depth = np.maximum(depth, -_lowest(x, geometry, poses, [i], True))
+            continue
+        least = _least(x, geometry, poses, i)
+        entered = np.flatnonzero(finite & (least < 0.0))
+        depth[entered] = np.maximum(depth[entered], -_lowest(x[entered], geometry, poses, [i], True))
         radius = {CAPSULE: float(geometry.radius[i]), PLANE: np.inf}.get(int(geometry.kind[i]), 0.0)
         margin = np.sqrt(radius**2 + spread) - radius if radius < np.inf else 0.0 * spread
-        near = np.flatnonzero(_least(x, geometry, poses, i)[faces].min(axis=1, initial=np.inf) < margin)
+        near = np.flatnonzero(least[faces].min(axis=1, initial=np.inf) < margin)
         if len(near):
             points = (PARTS @ corners[near]).reshape(-1, 3)
             distance = _lowest(points, geometry, poses, [i], True).reshape(len(near), -1)
@@ -244,7 +258,7 @@ def area_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses) -> tuple
             deepest = max(deepest, -float(distance.min()))
     edges = corners[:, 1:] - corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return float(area @ (inside @ WEIGHTS)), deepest
+    return Inside(depth, float(area @ (inside @ WEIGHTS)), deepest)
 
 
 def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:

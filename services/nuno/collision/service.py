@@ -11,7 +11,7 @@ from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message, Query
 from nuno.collision.bodies import NO_SURFACES, Bodies, build_bodies, surface
 from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
-from nuno.collision.distance import area_inside, least_distance, penetration
+from nuno.collision.distance import Inside, least_distance, measure_inside
 from nuno.collision.messages import (
     GEOMETRY_QUERY,
     LIVE_BODIES_QUERY,
@@ -26,7 +26,7 @@ from nuno.recording.reader import before_checkpoint, open_recording, recorded_po
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
@@ -155,11 +155,8 @@ class Collision:
         """None without cloth contact."""
         self.faces = np.zeros((0, 3), np.int32)
         """(f, 3) triangles of the cloth."""
-        self.others: Geometry | None = None
-        """Bodies other than those of cloth contact, which cloth enters only by crossings; None without any."""
-        met = context.loaded.scene.met_bodies if self.cloth is not None else []
-        if bodies is not None and (rest := [i for i in range(len(bodies.geometry.bodies)) if i not in met]):
-            self.others = bodies.geometry.of_bodies(rest)
+        self.met = context.loaded.scene.met_bodies if self.cloth is not None else []
+        """Bodies of cloth contact, by number, which cloth enters only by crossings."""
 
     def answer(self, query: Query) -> None:
         """Answer a query for the geometry, the live bodies, or the poses of a frame."""
@@ -277,13 +274,13 @@ class Collision:
         points = decode_points(message.payload)
         self.publish(header)
         start = time.perf_counter()
-        depth, poses = np.zeros(len(points)), self.poses(header.frame)[0] if self.bodies is not None else None
-        if self.bodies is not None and poses is not None:
-            depth = penetration(points, self.bodies.geometry, poses)
-        inside, cloth = depth > 0.0, self.cloth.look(points, header, poses) if self.cloth else {}
-        area = area_depth = 0.0
-        if self.others is not None and poses is not None and len(points) > self.faces.max(initial=-1):
-            area, area_depth = area_inside(points, self.faces, self.others, poses)
+        found, poses = Inside(np.zeros(len(points)), 0.0, 0.0), None
+        if self.bodies is not None:
+            poses = self.poses(header.frame)[0]
+            faces = self.faces if len(points) > self.faces.max(initial=-1) else self.faces[:0]
+            found = measure_inside(points, faces, self.bodies.geometry, poses, self.met)
+        depth, inside = found.depth, found.depth > 0.0
+        cloth = self.cloth.look(points, header, poses) if self.cloth else {}
         deepest = int(np.argmax(depth)) if inside.any() else -1
         report = Penetration(
             frame=header.frame,
@@ -292,8 +289,8 @@ class Collision:
             vertex=deepest,
             inside=int(inside.sum()),
             mean=float(depth[inside].mean()) if deepest >= 0 else 0.0,
-            area=area,
-            area_depth=area_depth,
+            area=found.area,
+            area_depth=found.area_depth,
             seconds=time.perf_counter() - start,
             **cloth,
         )
@@ -339,7 +336,7 @@ def main(context: Context) -> None:
         if collision.followers is not None:
             facts["followed"] = collision.followers.summary()
         facts |= {"deepest": collision.deepest, "last_depth": collision.last}
-        if collision.others is not None and len(collision.faces):
+        if len(collision.met) < len(scene.bodies) and len(collision.faces):
             facts |= {"area": collision.area, "area_depth": collision.area_depth}
     if collision.cloth is not None:
         facts["cloth_contact"] = collision.cloth.summary()
