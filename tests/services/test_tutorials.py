@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shlex
@@ -20,7 +21,9 @@ from PIL import Image
 
 import nuno_bench.cli
 from nuno.cli import parser_of
+from nuno.recording.reader import open_recording
 from nuno.scene import scene_file
+from nuno_schemas.messages import PENETRATION
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "tutorials"
@@ -181,6 +184,10 @@ def test_a_tutorial_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
                     f"{below.code}\nwas not printed:\n{printed[start:end]}"
                 )
             start = end
+    for recorded in folder.rglob("*.mcap"):
+        with open_recording(recorded) as recording:
+            reports = [json.loads(message.payload) for message in recording.messages([PENETRATION.name])]
+        assert not any(report["area"] for report in reports), f"{recorded.name} has cloth inside bodies"
     for name in PICTURE.findall(page.read_text(encoding="utf-8")):
         assert differing(ROOT / "docs" / "pictures" / name, folder / drawn_as(name, page)) < 0.02, name
 

@@ -1,0 +1,36 @@
+"""No shipped scene has cloth inside bodies: in no frame, by the report's measure and by tests of triangles."""
+
+from __future__ import annotations
+
+import pytest
+from cloth_in_bodies import meeting
+
+from nuno.collision.distance import measure_inside
+from nuno.scene import scene_file, shipped
+from nuno.simulation.run import Simulation
+
+SCENES = {
+    name: path for name, path in shipped.scenes("", "contact", "sewn", "extreme").items()
+    if (scene := scene_file.read(path).scene).bodies and scene.moves
+}  # fmt: skip
+LONGEST = 360
+"""Frames of a scene that are looked at: `hand` goes round for 6000."""
+EVERY = 5
+"""Frames of which one is looked at by tests of triangles, too: they take longer than the frames."""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", SCENES)
+def test_no_cloth_is_inside_bodies_in_any_frame(name: str) -> None:
+    simulation = Simulation.with_bodies(scene_file.read(SCENES[name]), threads=1)
+    geometry = simulation.geometry
+    found: dict[int, tuple[float, int]] = {}
+    while not simulation.finished and simulation.frame < LONGEST:
+        assert simulation.step().report.status == "ok"
+        x, faces, poses = simulation.state.x, simulation.fabric.faces, simulation.poses
+        assert geometry is not None and poses is not None
+        area = measure_inside(x, faces, geometry, poses).area
+        triangles = int(meeting(x, faces, geometry, poses).sum()) if simulation.frame % EVERY == 0 else 0
+        if area or triangles:
+            found[simulation.frame] = area, triangles
+    assert not found
