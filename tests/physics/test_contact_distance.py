@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
+from cloth_in_bodies import meeting
 from contact_world import box, capsule, contact_for, geometry, move, plane
 
 from nuno.collision.bodies import surface
 from nuno_contact.margins import STRETCHED, triangle_spread
 from nuno_contact.penalty.contact import pose_bodies
 from nuno_contact.penalty.distance import Bodies, primitive_distance
-from nuno_schemas.bodies import rotation_matrices
+from nuno_schemas.bodies import Poses, rotation_matrices
 
 TURN = np.array([0.8, 0.2, -0.5, 0.26])
 TURN /= np.linalg.norm(TURN)
@@ -143,6 +144,7 @@ def test_no_triangle_enters_whose_corners_keep_their_margin(shape: str) -> None:
     def least(points: np.ndarray, spread: float) -> float:
         return min(primitive_distance(tuple(p), spread, 0.0, 0, 0, bodies, None)[0] for p in points)
 
+    placed = []
     for triangle, own in zip(triangles, spread[::3], strict=True):
         way, low, high = rng.standard_normal(3), 0.0, 3.0
         start, way = triangle - triangle.mean(axis=0) + middle, way / np.linalg.norm(way)
@@ -150,6 +152,9 @@ def test_no_triangle_enters_whose_corners_keep_their_margin(shape: str) -> None:
             off = 0.5 * (low + high)
             low, high = (low, off) if least(start + off * way, own) >= 0.0 else (off, high)
         assert least(inside @ (start + high * way), 0.0) >= -1e-9
+        placed.append(start + (high + 1e-9) * way)
+    still = Poses(0.0, np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)))
+    assert not meeting(np.concatenate(placed), np.arange(900).reshape(-1, 3), geometry(part), still).any()
 
 
 def test_a_triangle_of_equal_sides_at_its_margin_touches_a_ball_in_its_middle() -> None:
