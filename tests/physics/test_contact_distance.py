@@ -129,16 +129,19 @@ def test_surface_vertices_lie_on_their_primitives_and_close():
         np.testing.assert_allclose(measure(contact, part)[:, 0], 0.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("shape", list(SHAPES))
+KEPT_OFF = SHAPES | {"plate": box((0.1, 0.2, -0.1), (0.3, 0.5, 0.004))}
+
+
+@pytest.mark.parametrize("shape", KEPT_OFF)
 def test_no_triangle_enters_whose_corners_keep_their_margin(shape: str) -> None:
     """Triangles at random, moved away from a body's middle until each corner is at its margin."""
-    rng, part = np.random.default_rng(4), SHAPES[shape]
+    rng, part = np.random.default_rng(4), KEPT_OFF[shape]
     triangles = 0.2 * rng.standard_normal((300, 3, 3))
     spread = triangle_spread(triangles.reshape(-1, 3), np.arange(900).reshape(-1, 3)) / STRETCHED**2
     contact = contact_for(geometry(part), np.ones(900), 1.0)._replace(spread=np.stack([spread, 0.0 * spread]))
     pose_bodies(0.0, contact)
     bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
-    middle = np.asarray(part[3]) if shape == "box" else 0.5 * (np.asarray(part[3]) + part[4])
+    middle = np.asarray(part[3]) if shape in ("box", "plate") else 0.5 * (np.asarray(part[3]) + part[4])
     inside = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12.0
 
     def least(points: np.ndarray, spread: float) -> float:
