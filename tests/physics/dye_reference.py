@@ -103,7 +103,7 @@ def plain_step(phi: Float, fixed: Float, cells: Cells, scale: float, rate: float
     for at in np.ndindex(*phi.shape):
         room = (1.0 - cells.porosity[at]) * cells.v_max if cells.fibre[at] else 0.0
         most = min(room, limit(isotherm, phi[at], room)) - fixed[at]
-        taken = max(0.0, min(rate * max(0.0, phi[at] - fixed[at]), most, phi[at]))
+        taken = max(0.0, min(rate * phi[at], most, phi[at]))
         phi[at] -= taken
         fixed[at] += taken
     flows = face_flows(phi, cells, scale)

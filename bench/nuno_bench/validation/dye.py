@@ -351,19 +351,19 @@ def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> flo
 
 @laws("uptake", "closed form")
 def measure_uptake(plugin: Any) -> Measurement:
-    """Even dye M, which fibre takes up without a limit, is taken up as A = M / 2 (1 - exp(-2 r t)), r = D_ab / d^2.
+    """Even dye M, which fibre takes up without a limit, is taken up as A = M (1 - exp(-r t)), r = D_ab / d^2.
 
-    It is the solution of dA/dt = r (phi - A).
+    It is the solution of dA/dt = r phi.
     """
     measured = _taken(plugin, Isotherm("partition", 1.0), 0.5, 0.5 / 2000.0)
-    return relative(measured, 0.5 * AMOUNT * (1.0 - math.exp(-1.0)), 1e-3)
+    return relative(measured, AMOUNT * (1.0 - math.exp(-0.5)), 1e-3)
 
 
 @laws({f"rest, {name}": {"isotherm": of, "limit": a} for name, (of, a) in LAWS.items()}, "A = A_d(M - A)")
 def measure_rest(plugin: Any, isotherm: Isotherm, limit: Callable[[float], float]) -> Measurement:
     """Even dye M that adsorbs until nothing changes leaves A on the fibre as the isotherm A_d says.
 
-    Fibre takes at least r (phi - A) until it holds what it may: that is done before 5 / r.
+    Fibre takes r phi until it holds what it may: that is done before 5 / r.
     """
     expected = bisect(0.0, AMOUNT, lambda held: limit(AMOUNT - held) <= held)
     return relative(_taken(plugin, isotherm, 5.0, 1e-3), expected, 3e-3)

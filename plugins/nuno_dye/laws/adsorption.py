@@ -1,7 +1,8 @@
-"""Adsorption: a step takes (D_ab dt / d^2) (phi - A)^+ from the mobile phi to the fixed A.
+"""Adsorption: a step takes (D_ab dt / d^2) phi from the mobile phi to the fixed A.
 
-It takes no more than the isotherm and the fibre's capacity V_d allow, min(V_d, A_d(phi)) - A, nor than phi; A never
-decreases (dye paper, equations 5 to 8).
+It goes on until the isotherm and the fibre's capacity V_d allow no more: a step takes at most min(V_d, A_d(phi)) - A,
+and at most phi; A never decreases (dye paper, equations 5 to 8: a one-way diffusion while A exceeds neither). Rejected:
+a rate by phi - A, which would stop at A = phi, below the limit of an isotherm that fixes more than is mobile.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def may_bind(first: float, phi: Any, fixed: Any, free: Any, pace: float) -> Any:
 def adsorb(phi: Float, fixed: Float, fibre: Float, row: int, c: int, law: Law) -> Any:
     """Fix dye in eight cells. Return the remaining mobile dye."""
     mobile, bound, capacity = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
-    taken = lower(lower(law.rate * (mobile - bound), capacity - bound), mobile)
+    taken = lower(lower(law.rate * mobile, capacity - bound), mobile)
     if law.kind != FREUNDLICH or may_bind(law.first, mobile, bound, taken, 1.0):
         taken = lower(taken, limit_of(law, mobile, capacity) - bound)
     taken = higher(taken, splat(0.0))

@@ -164,6 +164,6 @@ def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Calla
     """Fix dye like nuno_dye.laws.adsorption.adsorb, by an isotherm in Python."""
     capacity = cells.fixed_room
     most = np.minimum(capacity, function(phi, capacity)) - fixed
-    taken = np.maximum(np.minimum(np.minimum(rate * (phi - fixed), most), phi), 0.0)
+    taken = np.maximum(np.minimum(np.minimum(rate * phi, most), phi), 0.0)
     phi -= taken
     fixed += taken

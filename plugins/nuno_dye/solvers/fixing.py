@@ -1,6 +1,6 @@
 """Adsorption within a long step: a rate in each of its stages, and settled at its end.
 
-A stage takes D_ab / d^2 (phi - A), but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
+A stage takes D_ab / d^2 phi, but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
 dye reaches its limit within a few explicit steps. The stages damp those modes by at least half a step. The remaining
 distance to the limit is taken at the end: the A of a cell that holds S = phi + A satisfies A = A_d(S - A), or, if phi
 is maintained, A_d(phi). It is at most what D_ab allows in the step, at the mean phi.
@@ -26,7 +26,7 @@ ROUNDS = 60
 @forced_inline
 def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
     """Return the uptake of eight cells. A tuple of arrays as argument would make the call cost more than its work."""
-    taken = lower(law.rate * (phi - fixed), pace * (room - fixed))
+    taken = lower(law.rate * phi, pace * (room - fixed))
     if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
         taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
     return higher(taken, splat(0.0))
@@ -73,15 +73,15 @@ def settle_row(
     law = Law(begun.kind, begun.first, begun.second, begun.rate)
     for c in range(LEFT, LEFT + nx):
         mobile, bound, room = phi[row, c], fixed[row, c], fibre[row, c]
-        if not (mobile > bound and room > bound):
+        if not (mobile > 0.0 and room > bound):
             continue
         limit = min(limit_beside(law, mobile, room), room)
-        if not (limit > bound and pace * (limit - bound) < law.rate * (mobile - bound)):
+        if not (limit > bound and pace * (limit - bound) < law.rate * mobile):
             continue
         mean = 0.5 * (mobile + before[row, c])
         if mobile > floor[row, c]:
             limit = limit_within(law, mobile + bound, room)
-        most = min(min(limit, room), mean - (mean - held[row, c]) * math.exp(-law.rate))
+        most = min(min(limit, room), held[row, c] + law.rate * mean)
         taken = min(max(most - bound, 0.0), mobile)
         phi[row, c], fixed[row, c] = mobile - taken, bound + taken
 

@@ -40,10 +40,10 @@ from nuno_schemas.plugin import Config
 #
 # with weights w, f the factor of the face's receiver, and A the fixed dye at phi:
 #
-#     A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + rho))))
+#     A(phi) = max(A_0, min(V_d, A_d(phi), A_b + rho max(0, phi)))
 #
 # A_0 is fixed dye at the step's start (`least`), A_b at the stage's start (`fixed` of its Uptake), rho = D_ab dt / d^2:
-# within its limit fibre takes rho (phi - A)^+, and it releases none. A grows with phi, so that there is one root, and
+# within its limit fibre takes rho phi, and it releases none. A grows with phi, so that there is one root, and
 # trying the pieces of A finds it.
 
 ROUNDS = 40
@@ -56,7 +56,7 @@ BENDS = 60
 def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
     """Return A at mobile dye x."""
     initial, capacity, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
-    free = max(initial, (initial + rate * x) / (1.0 + rate))
+    free = initial + rate * max(x, 0.0)
     law = Law(uptake.kind, uptake.first, uptake.second, rate)
     limit = min(limit_beside(law, max(x, 0.0), capacity), capacity)
     held: float = max(least, min(limit, free))
@@ -93,12 +93,10 @@ def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, a
     initial, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
     law = Law(uptake.kind, uptake.first, uptake.second, rate)
     x: float = total / ways
-    if x > initial:
-        x = (total + initial * rate / (1.0 + rate)) / (ways + rate / (1.0 + rate))
-    elif x <= 0.0:
+    if x <= 0.0:
         return x
-    free = max(initial, (initial + rate * x) / (1.0 + rate))
-    if min(limit_beside(law, x, room), room) >= free:
+    x = total / (ways + rate)
+    if min(limit_beside(law, x, room), room) >= initial + rate * x:
         return x
     total += initial
     x = (total - least) / ways
