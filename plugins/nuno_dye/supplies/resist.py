@@ -6,6 +6,7 @@ clamps and stitches on folded cloth. Several multiply the capacity that each lea
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_dye.quantities import Length, Share
+from nuno_dye.quantities import Length, Metres, Share
 from nuno_dye.supplies.regions import Polyline, Region, Stroke, cover, find_distance, find_middles
 from nuno_dye.supplies.shibori import Clamps, Folds, Panels, Pattern, Stitches, draw_packet, draw_pattern
 from nuno_schemas.dye import Cells
@@ -27,6 +28,11 @@ MOST_RESISTS = 256
 
 class _Resist(Config):
     strength: Share = Field(default=1.0, description="B where it is strongest; 1 lets no dye in")
+    bleed: Annotated[Metres, Field(ge=0)] = Field(
+        default=0.0,
+        description="how far its edges run, as paste does before it sets: the standard deviation of the blur [m]; from "
+        "about one cell on edges have no stairs",
+    )
 
 
 class ImageResist(_Resist):
@@ -118,7 +124,22 @@ def find_resist(resist: AnyResist, shape: tuple[int, int], size: float, files: F
             half = 0.5 * resist.width
             distance = np.minimum(find_distance(resist.points, half, *find_middles(shape, size)), half)
             values = np.sqrt(1.0 - (distance / half) ** 2)
-    return resist.strength * values
+    return resist.strength * blur(values, resist.bleed / size)
+
+
+def blur(values: Float, spread: float) -> Float:
+    """Return values (ny, nx) after they diffused, sealed at the rims, to a Gaussian of standard deviation `spread`
+    [cells], cut off at 4 of it. An edge becomes 1/2 erfc(x / (sqrt(2) spread)).
+    """
+    reach = math.ceil(4.0 * spread)
+    if not reach:
+        return values
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
+    weights /= weights.sum()
+    for _ in range(2):
+        wide = np.pad(values, ((reach, reach), (0, 0)), mode="symmetric")
+        values = sum(weight * wide[i : i + len(values)] for i, weight in enumerate(weights)).T
+    return np.clip(values, 0.0, 1.0)
 
 
 def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:
