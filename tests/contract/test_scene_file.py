@@ -334,6 +334,10 @@ def test_numbers_that_are_what_they_look_like_are_read(text: str, value: object)
     assert yaml_lines.parse_value(text) == value
 
 
+def test_a_colour_in_an_override_is_no_comment() -> None:
+    assert yaml_lines.parse_value("#1e1715") == "#1e1715"
+
+
 @pytest.mark.parametrize(("text", "value"), [("010", 8), ("-017", -15), ("1:30", 90), ("1:30.5", 90.5)])
 def test_numbers_of_another_base_are_refused_with_what_they_would_be(text: str, value: float) -> None:
     """In files they are named with their line; what the remedy says is read as just that number."""

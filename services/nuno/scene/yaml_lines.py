@@ -189,7 +189,9 @@ def _require_shallow(text: str, file: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse the value of a YAML text. Raises BadInput."""
+    """Parse the value of a YAML text; one that begins with # is a colour, no comment. Raises BadInput."""
+    if text.startswith("#"):
+        return text
     try:
         node = _compose(text, "")
     except BadInput:
