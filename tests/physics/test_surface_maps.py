@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from straight_yarns import above, parallel, plane, worn
 
-from nuno_render.config import MapConfig
+from nuno_render.config import DensityConfig, MapConfig
 from nuno_render.rays.maps import (
     BACKGROUND,
     COUNTS,
@@ -106,9 +106,9 @@ def test_what_cannot_be_shown_is_refused():
     with pytest.raises(BadInput, match="wrong shape"):
         Map().draw(MapConfig(), replace(there, values=SurfaceValues("vertices", np.ones(3), "")), camera)
     with pytest.raises(BadInput, match="no body"):
-        Density().draw(MapConfig(), replace(there, bodies=()), camera)
+        Density().draw(DensityConfig(), replace(there, bodies=()), camera)
     with pytest.raises(BadInput, match="no extent"):
-        Density().draw(MapConfig(low=2.0, high=1.0), there, camera)
+        Density().draw(DensityConfig(low=2.0, high=1.0), there, camera)
     assert reach_of(MapConfig(), there) == pytest.approx(
         5.0 * np.linalg.norm(np.diff(there.points[there.links], axis=1), axis=2).mean()
     )

@@ -10,8 +10,8 @@ import pytest
 from straight_yarns import BARE, above, curves, everywhere, joined, parallel, plane, shares, worn
 
 from nuno_render.config import YarnsConfig
-from nuno_render.rays.surfaces import fibre_highlight
 from nuno_render.rays.yarns import Lines, Yarns, radiance
+from nuno_render.shading.fibre import NYLON, find_absorption, find_lobes, scatter
 from nuno_render.shading.lighting import GROUND, KEY, SKY
 from nuno_schemas.colour import to_linear
 from nuno_schemas.errors import BadInput
@@ -191,7 +191,7 @@ def test_highlight_of_a_hoop_is_where_its_normal_plane_holds_the_half_vector(azi
     half = light + view
     expected = math.atan2(half[1], half[0])
     camera = Camera(60 * view, np.zeros(3), np.array([0.0, 0, 1]), 0.04, (240, 240))
-    config = YarnsConfig(**BARE, light=tuple(light), colour="#000000", sharpness=3000, samples=9, translucency=0.0)
+    config = YarnsConfig(**BARE, light=tuple(light), colour="#000000", roughness=0.05, samples=9, translucency=0.0)
     picture = radiance(config, worn(curves([hoop()[1]], 0.01)), camera)
     shine = np.where(picture[..., 3] > 0.99, picture[..., 0], 0.0)
     angle, points = hoop(3600)
@@ -207,18 +207,55 @@ def test_highlight_of_a_hoop_is_where_its_normal_plane_holds_the_half_vector(azi
     assert off.max() < math.radians(4.0)
 
 
-def test_highlight_is_kajiya_and_kay_and_none_from_behind():
-    rng = np.random.default_rng(0)
-    for t, light, view in rng.normal(size=(200, 3, 3)):
-        t, light, view = unit(*t), unit(*light), unit(*view)
-        # The cone about T that holds the mirrored light is as steep as the light; V's angle from it.
-        steep = math.acos(np.clip(-(t @ light), -1, 1)) - math.acos(np.clip(t @ view, -1, 1))
-        across = [v - (t @ v) * t for v in (light, view)]
-        about = math.acos(np.clip(unit(*across[0]) @ unit(*across[1]), -1, 1))
-        expected = max(math.cos(steep), 0.0) ** 12 * math.cos(about / 2)
-        assert fibre_highlight(t, light, view, 12.0) == pytest.approx(expected, abs=1e-7)
-    t = np.array([1.0, 0, 0])
-    assert fibre_highlight(t, np.array([0.0, 0, 1]), np.array([0.0, 0, -1]), 12.0) < 1e-7
+def scattered(roughness, colour, h, sin_o, lights):
+    """Light that a fibre along x scatters toward a view, of each of the directions it comes from."""
+    t, out, absorption = np.array([1.0, 0, 0]), np.empty(3), find_absorption(np.full(3, colour), roughness)
+    view = np.array([sin_o, 0.0, np.sqrt(1 - sin_o**2)])
+    n = np.array([0.0, h, np.sqrt(1 - h * h)])
+    found = np.empty(len(lights))
+    for i, light in enumerate(lights):
+        scatter(t, n, light, view, absorption, find_lobes(roughness), out)
+        found[i] = out[0]
+    return found
+
+
+def sphere(rows, columns):
+    """Directions about x, each of the same solid angle."""
+    sine, turn = np.meshgrid((np.arange(rows) + 0.5) / rows * 2 - 1, 2 * np.pi * (np.arange(columns) + 0.5) / columns)
+    cosine = np.sqrt(1 - sine**2)
+    return np.stack([sine, cosine * np.sin(turn), cosine * np.cos(turn)], axis=-1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("colour", [1.0, 0.2])
+@pytest.mark.parametrize(
+    ("roughness", "h", "sin_o"), [(0.2, 0.0, 0.0), (0.3, 0.7, 0.4), (0.6, -0.95, -0.8), (1.0, 0.3, 0.2)]
+)
+def test_a_fibre_scatters_all_light_that_it_does_not_absorb(roughness, h, sin_o, colour):
+    """With F reflected and T left of each passage F + (1 - F)^2 T (1 + F T + (F T)^2 ...) leaves it."""
+    found = 4 * scattered(roughness, colour, h, sin_o, sphere(400, 120)).mean()
+    cos_o, across = np.sqrt(1 - sin_o**2), np.sqrt(1 - sin_o**2) * np.sqrt(1 - h * h)
+    inside = np.sqrt(1 - (1 - across**2) / NYLON**2)
+    one, other = (
+        (across - NYLON * inside) / (across + NYLON * inside),
+        (NYLON * across - inside) / (NYLON * across + inside),
+    )
+    f = (one**2 + other**2) / 2
+    bent = h * cos_o / np.sqrt(NYLON**2 - sin_o**2)
+    way = 2 * np.sqrt(1 - bent**2) / np.sqrt(1 - (sin_o / NYLON) ** 2)
+    t = np.exp(-find_absorption(np.array([colour]), roughness)[0] * way)
+    assert found == pytest.approx(f + (1 - f) ** 2 * t / (1 - f * t), abs=0.002)
+
+
+def test_a_smooth_fibre_mirrors_at_its_surface_and_lets_light_pass():
+    """The brightest directions of a black fibre and of a clear one: a mirrored ray, and a refracted one."""
+    h, lights = 0.6, sphere(41, 3600)
+    level = lights[np.abs(lights[:, 0]) < 1e-9]
+    turn = np.arctan2(level[:, 1], level[:, 2])
+    mirrored = turn[np.argmax(scattered(0.05, 1e-4, h, 0.0, level))]
+    passed = turn[np.argmax(scattered(0.05, 1.0, h, 0.0, level))]
+    entry, inside = np.arcsin(h), np.arcsin(h / NYLON)
+    for found, expected in ((mirrored, 2 * entry), (passed, np.pi + 2 * entry - 2 * inside)):
+        assert abs((found - expected + np.pi) % (2 * np.pi) - np.pi) < 0.02
 
 
 def test_skin_without_yarns_before_it_has_lamberts_radiance():
@@ -229,17 +266,3 @@ def test_skin_without_yarns_before_it_has_lamberts_radiance():
     sky = (SKY + GROUND) / 2 + (SKY - GROUND) / 3
     assert np.abs(picture[..., :3] / (KEY * 1.05 + sky) - 1).max() < 1e-3
     assert not picture[..., 3].any()
-
-
-def test_mean_of_a_round_yarn_is_lamberts_law_over_its_width():
-    # Opaque yarns side by side lit along the view: n.L = sqrt(1 - x^2), wrapped, over the width.
-    x = (np.arange(4000) + 0.5) / 4000
-    wrap = 0.45
-    expected = KEY * ((np.sqrt(1 - x * x) + wrap) / (1 + wrap)).mean()
-    config = YarnsConfig(
-        **BARE, light=(0, 0, 1), colour="#ffffff", highlight=0.0, translucency=0.0, samples=64
-    )  # fmt: skip
-    yarns = parallel(0.02, 0.0101)
-    picture = radiance(config, worn(yarns), above())
-    sky = np.stack([(SKY + GROUND) / 2 + (SKY - GROUND) * up / 3 for up in np.sqrt(1 - x * x)]).mean(axis=0)
-    assert np.abs(picture[..., :3].mean(axis=(0, 1)) / (expected + sky) - 1).max() < 0.01

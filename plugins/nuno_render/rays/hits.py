@@ -107,7 +107,7 @@ EDGE = 1e-12
 
 class Buffers(NamedTuple):
     """Scratch for rays: capsules met (keep,), where rays enter and leave them [m], those of one ray that are shaded
-    after it, the stack of nodes (DEPTH,) with their distances, and vectors (10, 3) for shading.
+    after it, the stack of nodes (DEPTH,) with their distances, and vectors (11, 3) for shading.
     """
 
     items: NDArray[np.int64]
@@ -125,7 +125,7 @@ def make_buffers(keep: int) -> Buffers:
     """Return buffers for rays through at most `keep` capsules."""
     return Buffers(
         np.empty(keep, np.int64), np.empty(keep), np.empty(keep), np.empty(keep, np.int64), np.empty(keep),
-        np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((10, 3)),
+        np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((11, 3)),
     )  # fmt: skip
 
 

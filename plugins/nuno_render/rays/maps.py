@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from nuno_kernels import block_kernel, kernel
 from nuno_render.annotate import annotate
-from nuno_render.config import Legend, MapConfig, grid_of
+from nuno_render.config import DensityConfig, Legend, MapConfig, grid_of
 from nuno_render.raster import encode_picture
 from nuno_render.rays.hits import make_buffers, meet_triangle
 from nuno_render.rays.surfaces import find_weights
@@ -175,14 +175,14 @@ class Density:
     """Shows the number of points, where yarns cross, near each place of the skin: the knit paper's figure 18."""
 
     name: ClassVar[str] = "density"
-    Config: ClassVar[type[BaseModel]] = MapConfig
+    Config: ClassVar[type[BaseModel]] = DensityConfig
     curves: ClassVar[bool] = False
     shows: ClassVar[bool] = False
 
-    def draw(self, config: MapConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
+    def draw(self, config: DensityConfig, worn: Worn, camera: Camera, progress: Progress | None = None) -> Picture:
         """Return a picture (height, width, 3) uint8 sRGB. Raises BadInput."""
-        reach = reach_of(config, worn)
-        counted = SurfaceValues("points", np.zeros(len(worn.points)), f"points within {1e3 * reach:.3g} mm")
+        label = f"points within {1e3 * config.radius:.3g} mm"
+        counted = SurfaceValues("points", np.zeros(len(worn.points)), label)
         return _paint(config, worn, camera, counted, COUNTS, progress)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_render.rays.hits import Buffers
-from nuno_render.rays.worn import Skin, Threads, free_way
+from nuno_render.rays.worn import Hues, Skin, Threads, free_way
+from nuno_render.shading.fibre import scatter
 from nuno_render.shading.ground import Ground, fade_at, lay_floor
 from nuno_render.shading.shade import raise_point, sky
 from nuno_render.sight import place_sample, scramble
@@ -16,21 +17,13 @@ from nuno_schemas.fabric import Float
 
 # Light on skin and on yarns.
 #
-# A yarn is a bundle of fibres along its tangent T. Its highlight is that of Kajiya and Kay (Rendering fur with three
-# dimensional textures, SIGGRAPH 1989): light from L leaves it as a cone about T, and is seen from V with
+# A yarn scatters the key light as one clear fibre does (nuno_render.shading.fibre), and the sky's by the same energies:
+# what passes it is seen through it, straight, as the surface behind is near.
 #
-#     (sin(T, L) sin(T, V) - T.L T.V)^p = cos(angle between V and the cone)^p,
-#
-# brightest where T is normal to L + V: on a hoop, where its normal plane contains the half vector. Seen round the yarn
-# it has the falloff cos(phi / 2) of a mirroring fibre (Marschner et al., Light scattering from human hair fibers,
-# SIGGRAPH 2003), phi between L and V about T, so that light from behind makes no highlight. Their diffuse term sin(T,
-# L) is Lambert's law integrated over a round fibre; here the normal is known, without an integral.
-#
-# Skin and yarns scatter light inside, which carries it beyond the terminator: (n.L + w) / (1 + w), w larger for red in
-# skin, which red light passes best.
+# Skin scatters light inside, which carries it beyond the terminator: (n.L + w) / (1 + w), w larger for red, which
+# passes skin best.
 
 SKIN_WRAP = np.array([0.34, 0.20, 0.14])
-YARN_WRAP = 0.45
 GLOSS, SHARPNESS = 0.05, 18.0
 """Strength and exponent of the skin's highlight."""
 BOUNCE = 0.55
@@ -41,8 +34,8 @@ class Look(NamedTuple):
     """The settings of a picture by rays.
 
     eye (3,)              [m]; direction, colour, up, sky, ground and spread as in nuno_render.shading.lighting.Lights
-    share                 of the light that passes a yarn; keep: the most capsules along a ray
-    highlight, sharpness  strength and exponent of the yarns' highlight
+    keep                  the most capsules along a ray
+    lobes (4,)            how wide the yarns' highlights are, as in nuno_render.shading.fibre
     shadows, occlusion    whether the key light casts shadows, and whether yarns and bodies hide the sky
     off                   distance of the start of rays from a surface [m]
     flat                  whether yarns have one flat colour and cast no shadow
@@ -55,10 +48,8 @@ class Look(NamedTuple):
     sky: Float
     ground: Float
     spread: float
-    share: float
     keep: int
-    highlight: float
-    sharpness: float
+    lobes: Float
     shadows: bool
     occlusion: bool
     off: float
@@ -69,23 +60,6 @@ class Look(NamedTuple):
 def wrapped(cosine: float, w: float) -> float:
     """Return Lambert's law with the terminator moved by w."""
     return max((cosine + w) / (1.0 + w), 0.0)
-
-
-@kernel
-def fibre_highlight(t: Float, light: Float, view: Float, sharpness: float) -> float:
-    """Return Kajiya and Kay's highlight of a fibre along the unit vector t (3,), with the falloff about it; 0 to 1."""
-    tl = t[0] * light[0] + t[1] * light[1] + t[2] * light[2]
-    tv = t[0] * view[0] + t[1] * view[1] + t[2] * view[2]
-    sl, sv = np.sqrt(max(1.0 - tl * tl, 0.0)), np.sqrt(max(1.0 - tv * tv, 0.0))
-    cone = sl * sv - tl * tv
-    if cone <= 0.0:
-        return 0.0
-    lv = light[0] * view[0] + light[1] * view[1] + light[2] * view[2]
-    around = 1.0
-    if sl * sv > 1e-9:
-        around = min(max((lv - tl * tv) / (sl * sv), -1.0), 1.0)
-    shine: float = cone**sharpness * np.sqrt(0.5 * (1.0 + around))
-    return shine
 
 
 @kernel
@@ -111,16 +85,17 @@ def skin_light(albedo: Float, n: Float, view: Float, look: Look, lit: float, fre
 
 
 @kernel
-def yarn_light(albedo: Float, n: Float, t: Float, view: Float, look: Look, lit: float, free: float, out: Float) -> None:
-    """Write the radiance of a yarn with normal n and tangent t toward the viewer into out (3,)."""
-    light, light_colour, up = look.direction, look.colour, look.up
-    nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
-    shine = look.highlight * fibre_highlight(t, light, view, look.sharpness)
+def yarn_light(
+    hues: Hues, yarn: int, n: Float, t: Float, view: Float, look: Look, lit: float, free: float, out: Float
+) -> None:
+    """Write the radiance that a yarn with normal n and tangent t sends toward the viewer into out (3,). What passes
+    straight through it from behind is not part of it.
+    """
+    up = look.up
+    scatter(t, n, look.direction, view, hues.absorption[yarn], look.lobes, out)
     up_part = n[0] * up[0] + n[1] * up[1] + n[2] * up[2]
     for k in range(3):
-        tint = 0.35 + 0.65 * albedo[k]
-        out[k] = light_colour[k] * lit * (albedo[k] * wrapped(nl, YARN_WRAP) + shine * tint)
-        out[k] += ambient_light(albedo, up_part, free, look, k)
+        out[k] = look.colour[k] * lit * out[k] + ambient_light(hues.back[yarn], up_part, free, look, k)
 
 
 LOW = 0.1
@@ -150,7 +125,6 @@ def receive(
     pattern of the pixel).
     """
     keep, light, work = look.keep, look.direction, buffers.work
-    share = 1.0 if look.flat else look.share
     number, columns, rows, pattern = sample
     d, u, v = work[0], work[1], work[2]
     lit, free = 1.0, 1.0
@@ -167,14 +141,14 @@ def receive(
         norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
         for k in range(3):
             d[k] /= norm
-        lit = free_way(p, d, skin, threads, share, keep, buffers)
+        lit = free_way(p, d, skin, threads, look.flat, keep, buffers)
     if look.occlusion:
         x, y = place_sample(number, columns, rows, scramble(pattern, 12))
         across(n, u, v)
         sine, rise, turn = np.sqrt(x), np.sqrt(1.0 - x), 2.0 * np.pi * y
         for k in range(3):
             d[k] = rise * n[k] + sine * (np.cos(turn) * u[k] + np.sin(turn) * v[k])
-        free = free_way(q, d, skin, threads, share, keep, buffers)
+        free = free_way(q, d, skin, threads, look.flat, keep, buffers)
     return lit, free
 
 
@@ -252,7 +226,7 @@ def shade_yarn(
         work[8][k] += (threads.radius[item] + look.off) * (light[k] - tl * tangent[k]) / side
         p[k] += look.off * n[k]
     lit, free = receive(work[8], p, n, -2.0, look, skin, threads, sample, buffers)
-    yarn_light(threads.colour[threads.yarn[item]], n, tangent, view, look, lit, free, out)
+    yarn_light(threads.hues, threads.yarn[item], n, tangent, view, look, lit, free, out)
 
 
 @kernel

@@ -38,9 +38,20 @@ class Skin(NamedTuple):
     albedo: Float
 
 
+class Hues(NamedTuple):
+    """Colours of yarns (y, 3), linear, their absorption per radius, and the shares of light that pass straight through
+    and that go back.
+    """
+
+    colour: Float
+    absorption: Float
+    passed: Float
+    back: Float
+
+
 class Threads(NamedTuple):
     """Pieces of yarns: a tree, start, end, and tangents there first, last (i, 3) [m] from the origin, radius (i,) [m],
-    the yarn (i,) int64 of each, and the yarns' colour (y, 3) linear.
+    the yarn (i,) int64 of each, and the yarns' hues.
     """
 
     tree: RayTree
@@ -50,7 +61,7 @@ class Threads(NamedTuple):
     last: Float
     radius: Float
     yarn: NDArray[np.int64]
-    colour: Float
+    hues: Hues
 
 
 def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces: bool = False) -> Skin:
@@ -71,11 +82,8 @@ def gather_skin(bodies: tuple[Mesh, ...], origin: Float, colour: str, keep_faces
     return Skin(triangle_tree(x, faces), np.ascontiguousarray(x), faces, normals, albedo)
 
 
-def gather_threads(
-    yarns: YarnCurves, origin: Float, radius: float | tuple[float, ...] | None, colour: Float
-) -> Threads:
-    """Return pieces of yarns between finite points; `radius` [m] of all or of each kind, by default their own; colour
-    (y, 3) linear.
+def gather_threads(yarns: YarnCurves, origin: Float, radius: float | tuple[float, ...] | None, hues: Hues) -> Threads:
+    """Return pieces of yarns between finite points; `radius` [m] of all or of each kind, by default their own.
 
     Raises BadInput for a yarn without thickness, and for radii of another number of kinds.
     """
@@ -96,7 +104,7 @@ def gather_threads(
     first_tangent, last_tangent = (np.ascontiguousarray(tangents[pieces + k]) for k in (0, 1))
     return Threads(
         tree, start, end, first_tangent, last_tangent, np.ascontiguousarray(thick[yarn]), yarn.astype(np.int64),
-        np.ascontiguousarray(colour),
+        Hues(*map(np.ascontiguousarray, hues)),
     )  # fmt: skip
 
 
@@ -174,12 +182,15 @@ def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, bu
 
 
 @kernel
-def free_way(p: Float, d: Float, skin: Skin, threads: Threads, share: float, keep: int, buffers: Buffers) -> float:
-    """Return the share of light that reaches p (3,) from direction d (3,): 0 through bodies, `share` through a yarn."""
+def free_way(p: Float, d: Float, skin: Skin, threads: Threads, flat: bool, keep: int, buffers: Buffers) -> float:
+    """Return the share of light that reaches p (3,) from direction d (3,): 0 through bodies, and what yarns let
+    through, all of it if they are `flat`; the mean of all colours.
+    """
     face, _ = meet_triangle(p, d, skin.tree, buffers)
     if face >= 0:
         return 0.0
-    if share == 1.0:
-        return 1.0
-    through: float = share ** cross_yarns(p, d, np.inf, threads, keep, buffers)
+    through, passed = 1.0, threads.hues.passed
+    for i in range(0 if flat else cross_yarns(p, d, np.inf, threads, keep, buffers)):
+        yarn = threads.yarn[buffers.items[i]]
+        through *= (passed[yarn, 0] + passed[yarn, 1] + passed[yarn, 2]) / 3.0
     return through

@@ -17,7 +17,8 @@ from nuno_render.config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_render.raster import encode_picture
 from nuno_render.rays.hits import Buffers, make_buffers, meet_triangle
 from nuno_render.rays.surfaces import Look, shade_floor, shade_skin, shade_yarn
-from nuno_render.rays.worn import Skin, Threads, check_eye, cross_yarns, gather_skin, gather_threads
+from nuno_render.rays.worn import Hues, Skin, Threads, check_eye, cross_yarns, gather_skin, gather_threads
+from nuno_render.shading.fibre import find_absorption, find_energies, find_lobes
 from nuno_render.shading.ground import Ground, background, find_ground
 from nuno_render.shading.lighting import GROUND, KEY, SKY, key_direction, unit
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
@@ -44,7 +45,7 @@ def see(
     out: Float,
 ) -> None:  # fmt: skip
     """Write radiance and the yarns' share of it along a ray, at a share `down` of the picture's height, to out (4,)."""
-    eye, up, share = look.eye, look.up, look.share
+    eye, up, hues = look.eye, look.up, threads.hues
     face, most = meet_triangle(eye, d, skin.tree, buffers)
     fall = up[0] * d[0] + up[1] * d[1] + up[2] * d[2]
     on_floor = False
@@ -54,21 +55,23 @@ def see(
     items, enters = buffers.met, buffers.met_at
     for i in range(count):
         items[i], enters[i] = buffers.items[i], buffers.enters[i]
-    colour, weight = buffers.work[9], 1.0
-    out[0] = out[1] = out[2] = 0.0
+    colour, weight = buffers.work[9], buffers.work[10]
+    for k in range(3):
+        out[k], weight[k] = 0.0, 1.0
     for i in range(count):
-        if weight < FAINT:
+        if max(weight[0], weight[1], weight[2]) < FAINT:
             break
+        yarn = threads.yarn[items[i]]
         if look.flat:
             for k in range(3):
-                colour[k] = threads.colour[threads.yarn[items[i]], k]
+                colour[k] = hues.colour[yarn, k]
         else:
             shade_yarn(items[i], d, enters[i], look, skin, threads, sample, buffers, colour)
         for k in range(3):
-            out[k] += weight * (1.0 - share) * colour[k]
-        weight *= share
-    out[3] = 1.0 - weight
-    if weight < FAINT:
+            out[k] += weight[k] * colour[k]
+            weight[k] *= hues.passed[yarn, k]
+    out[3] = 1.0 - (weight[0] + weight[1] + weight[2]) / 3.0
+    if max(weight[0], weight[1], weight[2]) < FAINT:
         return
     background(down, floor, colour)
     if face >= 0:
@@ -76,7 +79,7 @@ def see(
     elif on_floor:
         shade_floor(d, most, floor, look, skin, threads, sample, buffers, colour)
     for k in range(3):
-        out[k] += weight * colour[k]
+        out[k] += weight[k] * colour[k]
 
 
 @block_kernel
@@ -170,7 +173,7 @@ def radiance(
     check_eye(worn.bodies, camera)
     origin = np.asarray(camera.target, np.float64)
     skin = gather_skin(worn.bodies, origin, config.skin)
-    yarns = gather_threads(worn.yarns, origin, config.radius, yarn_colours(config, worn.yarns))
+    yarns = gather_threads(worn.yarns, origin, config.radius, yarn_hues(config, worn.yarns))
     up = unit(np.array(config.up))
     drawn = np.concatenate([skin.x[np.unique(skin.faces)], yarns.start, yarns.end, np.zeros((1, 3))])
     centre = 0.5 * (drawn.min(axis=0) + drawn.max(axis=0))
@@ -178,8 +181,8 @@ def radiance(
     height, width = camera.size[1], camera.size[0]
     keep = 1 if config.translucency == 0.0 else KEEP
     look = Look(
-        sight.eye, key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size, config.translucency,
-        keep, config.highlight, config.sharpness, config.shadows, config.occlusion, OFF * radius, flat,
+        sight.eye, key_direction(config, camera, up), KEY, up, SKY, GROUND, config.light_size,
+        keep, find_lobes(config.roughness), config.shadows, config.occlusion, OFF * radius, flat,
     )  # fmt: skip
     solid = skin.x[np.unique(skin.faces)] if len(skin.faces) else np.concatenate([yarns.start, yarns.end])
     floor = find_ground(config, float((solid @ up).min(initial=np.inf)), origin, sight.eye, up, centre, radius)
@@ -208,9 +211,13 @@ def draw_in_parts(
                 progress(done, height)
 
 
-def yarn_colours(config: YarnsConfig, yarns: YarnCurves) -> Float:
-    """Return linear light (y, 3) of the yarns."""
+def yarn_hues(config: YarnsConfig, yarns: YarnCurves) -> Hues:
+    """Return the colours of all yarns, and what they do to light."""
     if config.colour is not None:
-        return np.tile(parse_hex(config.colour), (yarns.number, 1))
-    table = np.stack([parse_hex(colour) for colour in config.colours])
-    return np.asarray(table[yarns.kind % len(table)])
+        colour = np.tile(parse_hex(config.colour), (yarns.number, 1))
+    else:
+        table = np.stack([parse_hex(colour) for colour in config.colours])
+        colour = table[yarns.kind % len(table)]
+    absorption = find_absorption(colour, config.roughness)
+    passed, back = find_energies(absorption)
+    return Hues(colour, absorption, passed if config.translucency is None else 0.0 * passed + config.translucency, back)
