@@ -144,8 +144,8 @@ class DensityConfig(MapConfig):
 
     radius: Thickness = Field(
         default=0.04,
-        description="how near points count at a place of the surface [m]: with 40 mm 300 x 300 points on the leg have "
-        "some 800 of them where they are densest, as the knit paper's",
+        description="how near points count at a place of the surface [m]: with 40 mm the largest number of "
+        "150 x 150 points on the leg is about the knit paper's 800",
     )
 
 

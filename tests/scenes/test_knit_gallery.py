@@ -15,7 +15,7 @@ from nuno.scene import shipped
 from nuno_bench.gallery import command as gallery
 from nuno_bench.gallery import knit as knit_gallery
 from nuno_bench.gallery.kind import EFFECT, Difference, ShownScene, compare
-from nuno_bench.gallery.knit import Knitted, density_at, stretch, unevenness, zigzag
+from nuno_bench.gallery.knit import Knitted, density_at, run_panel, stretch, unevenness, zigzag
 from nuno_schemas.errors import BadInput
 
 WALES, COURSES, WIDE, HIGH = 5, 9, 0.02, 0.01
@@ -42,9 +42,15 @@ def show(folder: Path, *words: str) -> tuple[int, str]:
 def test_the_stitches_show_what_they_must(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = show(tmp_path, "--scenes", "stitch-stretch-course,stitch-stretch-wale")
     assert code == 0 and text.count("data:image/png;base64,") == 4
-    assert text.count(">bar met<") == 4 and "missed" not in text and "failed" not in text
-    assert "stretch of nylon arcs" in text
-    assert "along the courses wales zigzag" in capsys.readouterr().out
+    assert text.count(">bar met<") == 2 and "missed" not in text and "failed" not in text
+    assert "stretch of nylon arcs" in text and ">reproduced</td>" in text
+    assert "stiff yarn stretches less" in capsys.readouterr().out
+
+
+def test_the_direction_comes_from_the_contrast_of_stiffness() -> None:
+    """Figure 9's zigzag stays without continuity, and vanishes with one stiffness."""
+    wales = {(ratio, mu): zigzag(run_panel("stitch-stretch-course", ratio, mu)) for ratio, mu in ((10, 0), (1, 0.2))}
+    assert wales[10, 0] > 0.5 and wales[1, 0.2] < 0.02
 
 
 @pytest.mark.full
