@@ -321,17 +321,21 @@ def _wrapped(laid: Corners, between: Float, turn: Float, faces: Int, n: int) -> 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Neighbours for smoothing: vertices (s,), and sorted pairs (p, 2) of one of them and a neighbour."""
+    """Neighbours for smoothing: vertices (s,), and sorted pairs (p, 2) of one of them and a neighbour, by which places
+    on the cloth are smoothed (`along`) and what it is raised by (`raised`).
+    """
 
     vertex: Int
-    pair: NDArray[np.int64]
+    along: NDArray[np.int64]
+    raised: NDArray[np.int64]
 
 
 def _find_neighbours(fabric: Fabric, triangles: Int, rim: Bool, number: int, smoothing: Smoothing) -> Neighbours:
     """Return the neighbours of the new vertices and of their two-ring, by the triangles (l, 3) there; rim (l, 3)
-    borders. Pinned vertices stay, and those of the border are smoothed along it, so that it does not move inwards
-    (Taubin's hierarchical constraint); so are new vertices among themselves if `smoothing.hierarchical`. The end of a
-    border or of such a line stays: its one neighbour would pull it in.
+    borders. Pinned vertices stay. On the cloth, those of the border are smoothed along it, so that it does not move
+    inwards (Taubin's hierarchical constraint); but it is raised with the cloth beside it, or a line would end in front
+    of a hem. New vertices are smoothed among themselves if `smoothing.hierarchical`. The end of a border or of such a
+    line stays: its one neighbour would pull it in.
     """
     n = fabric.number
     near = np.zeros(number, np.bool_)
@@ -344,12 +348,18 @@ def _find_neighbours(fabric: Fabric, triangles: Int, rim: Bool, number: int, smo
     pair = np.stack([np.append(start, end[edge]), np.append(end, start[edge])], 1).astype(np.int64)
     border = np.zeros(number, np.bool_)
     border[start[edge]] = border[end[edge]] = True
-    kept = near[pair[:, 0]] & (~border[pair[:, 0]] | np.append(edge, edge[edge]))
+    kept = near[pair[:, 0]]
     if smoothing.hierarchical:
         kept &= (pair[:, 0] < n) | (pair[:, 1] >= n)
-    pair = pair[kept]
-    alone = np.bincount(pair[:, 0], minlength=number) < 2
-    return Neighbours(np.flatnonzero(near).astype(np.int32), pair[~alone[pair[:, 0]]])
+    on_border = kept & (~border[pair[:, 0]] | np.append(edge, edge[edge]))
+    along, raised = (_without_ends(pair[one], number) for one in (on_border, kept))
+    return Neighbours(np.flatnonzero(near).astype(np.int32), along, raised)
+
+
+def _without_ends(pair: NDArray[np.int64], number: int) -> NDArray[np.int64]:
+    """Return sorted pairs (p, 2) of a vertex and a neighbour, without those of vertices that have one only."""
+    pair = pair[np.bincount(pair[:, 0], minlength=number)[pair[:, 0]] > 1]
+    return pair[np.argsort(pair[:, 0], kind="stable")]
 
 
 def _smooth(flat: Float, x: Float, triangles: Int, neighbours: Neighbours, smoothing: Smoothing) -> int:
@@ -358,16 +368,17 @@ def _smooth(flat: Float, x: Float, triangles: Int, neighbours: Neighbours, smoot
     """
     if smoothing.passes == 0:
         return 0
-    start, held = x.copy(), np.zeros(len(x), np.bool_)
+    raised, held = x - flat, np.zeros(len(x), np.bool_)
     for _ in range(ROUNDS):
-        pair = neighbours.pair[~held[neighbours.pair[:, 0]]]
-        pair = pair[np.argsort(pair[:, 0], kind="stable")]
-        at = np.concatenate([[0], np.cumsum(np.bincount(pair[:, 0], minlength=len(x))[neighbours.vertex])])
-        x[...] = start
-        smooth(
-            x, neighbours.vertex, at.astype(np.int32), pair[:, 1].astype(np.int32),
-            smoothing.passes, smoothing.shrink, smoothing.inflate,
-        )  # fmt: skip
+        place, height = flat.copy(), raised.copy()
+        for values, pairs in ((place, neighbours.along), (height, neighbours.raised)):
+            pair = pairs[~held[pairs[:, 0]]]
+            at = np.concatenate([[0], np.cumsum(np.bincount(pair[:, 0], minlength=len(x))[neighbours.vertex])])
+            smooth(
+                values, neighbours.vertex, at.astype(np.int32), pair[:, 1].astype(np.int32),
+                smoothing.passes, smoothing.shrink, smoothing.inflate,
+            )  # fmt: skip
+        x[...] = place + height
         bad = _turned(flat, x, triangles)
         if not bad.any():
             return int(held.sum())

@@ -151,6 +151,16 @@ def test_pinned_vertices_stay_and_borders_are_not_drawn_in() -> None:
     assert np.allclose(x[:12, 1], 0.5, atol=1e-15)
 
 
+@pytest.mark.parametrize("height", [0.03, -0.03])
+def test_a_line_that_ends_at_a_border_raises_it_as_the_cloth_beside_it(height: float) -> None:
+    fabric = sheet(24, 24)
+    x = changed(draw(fabric, ridge((0.01, -0.5), (0.01, 0.5), height=height))).state.x[: fabric.number]
+    rows = (x.reshape(24, 24, 3) - fabric.position.reshape(24, 24, 3))[..., 2] * np.sign(height)
+    crest = rows.max(axis=1)
+    assert crest[[0, -1]].min() > 0.5 * crest[12] > 0.0
+    assert np.allclose(x[[*range(24), *range(-24, 0)], 1], fabric.position[[*range(24), *range(-24, 0)], 1], atol=1e-15)
+
+
 def test_a_line_is_the_same_however_it_is_given(tmp_path: Path) -> None:
     fabric = sheet()
     points = [(-0.3, -0.2), (0.05, 0.1), (0.31, 0.22)]
