@@ -124,14 +124,17 @@ cloth bears less, and flat cloth at the ends of a line bears part of it: on clot
 share of ridges of several heights, directions and weights, and 0.02 loses a quarter of low ones."""
 
 
-def kept_rigidity(density: float, x: Float, crests: Int) -> float:
-    """Return the rigidity [N m] of folds that hold on cloth of `density` [kg/m^2] at x (n, 3) [m]; crests (5, c) are
-    those of `find_crests`. 0 if the width is unknown, as of a line of two triangles.
+def kept_rigidity(density: float, x: Float, crests: Int, n: int) -> Float:
+    """Return the rigidity [N m] of folds at the new vertices (m,) of x (n + m, 3) [m] that holds on cloth of `density`
+    [kg/m^2], by the width of the wrinkle at the nearest of `find_crests` (5, c). 0 without any, as of a line of two
+    triangles.
     """
+    new = x[n:]
     if not crests.size:
-        return 0.0
-    width = float(np.linalg.norm(x[crests[1]] - x[crests[2]], axis=1).mean())
-    return HOLD * density * GRAVITY * float(np.ptp(x, axis=0).max()) * width**2
+        return np.zeros(len(new))
+    square = np.square(x[crests[1]] - x[crests[2]]).sum(axis=1)
+    nearest = np.array([np.square(x[crests[0]] - place).sum(axis=1).argmin() for place in new])
+    return np.asarray(HOLD * density * GRAVITY * float(np.ptp(x, axis=0).max()) * square[nearest])
 
 
 def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Springs) -> Float:
@@ -242,9 +245,10 @@ def _length(x: Float, one: Int, other: Int) -> Float:
     return np.asarray(np.linalg.norm(x[other] - x[one], axis=1))
 
 
-def build_hinges(work: NetParts, springs: Springs, region: Region, kept: float | None) -> Hinges | None:
-    """Return hinges, rebuilt across the edges of changed triangles; with a rigidity `kept` [N m] the folds of the line
-    are at rest.
+def build_hinges(work: NetParts, springs: Springs, region: Region, kept: Float | None) -> Hinges | None:
+    """Return hinges, rebuilt across the edges of changed triangles; with rigidities `kept` (m,) [N m] at new vertices
+    all folds there are at rest as they are raised, and those at several have the mean: were they at rest as the cloth
+    lay before, only stiffer, a ridge would straighten a skirt or a sleeve.
     """
     fabric, raised, near, edges, mass = work.fabric, work.raised, work.near, work.edges, work.mass
     old = fabric.hinges
@@ -265,10 +269,12 @@ def build_hinges(work: NetParts, springs: Springs, region: Region, kept: float |
     stiff, folds = rigidity * shape, np.zeros(len(new_quads))
     if kept is not None:
         pinned = np.append(fabric.pinned, np.zeros(len(mass) - fabric.number, np.bool_))
-        stiff = np.maximum(stiff, np.minimum(kept * shape, most_stiffness(raised.x, new_quads, mass, pinned, springs)))
-        folds = fold_angles(raised.x, new_quads) - fold_angles(raised.flat, new_quads)
+        held = np.append(np.zeros(fabric.number), kept)[new_quads].sum(axis=1)
+        held /= (new_quads >= fabric.number).sum(axis=1)
+        most = most_stiffness(raised.x, new_quads, mass, pinned, springs)
+        stiff, folds = np.maximum(stiff, np.minimum(held * shape, most)), fold_angles(raised.x, new_quads)
         turned = near_by[any_of(work.moved, quads[near_by])]
-        angle[turned] += fold_angles(raised.x, quads[turned]) - fold_angles(raised.flat, quads[turned])
+        angle[turned] = fold_angles(raised.x, quads[turned])
     stays = np.ones(len(quads), np.bool_)
     stays[removed] = False
     quads = np.concatenate([quads.compress(stays, axis=0), new_quads])
@@ -295,10 +301,10 @@ class Net:
 
 def build_net(
     fabric: Fabric, across: Int, raised: Raised, near: Near, region: Region, model: Mapping[str, float], rule: Rule,
-    kept: float | None,
+    kept: Float | None,
 ) -> Net:  # fmt: skip
-    """Return the net of the raised surface; `across` are the neighbours of the fabric's triangles. `kept` is the
-    rigidity [N m] of a kept wrinkle's folds, or None.
+    """Return the net of the raised surface; `across` are the neighbours of the fabric's triangles. `kept` (m,)
+    is the rigidity [N m] of a kept wrinkle's folds at new vertices, or None.
     """
     n = fabric.number
     moved = np.zeros(len(raised.x), np.bool_)

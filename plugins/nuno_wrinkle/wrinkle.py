@@ -19,47 +19,57 @@ from nuno_wrinkle.net import ON_SPRINGS, Net, Rule, build_net, describe, find_ne
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
 from nuno_wrinkle.surface import link_faces
 
-# A wrinkle is measured across each new vertex, between the unsmoothed vertices on either side of its line.
+# A wrinkle is measured across each new vertex, between its feet on either side of its line: unsmoothed vertices, or
+# where none lies between, the next line that goes the other way, as of a valley between ridges.
 
 
 @kernel
-def _nearest(x: Float, feet: Int, vertices: Int, across: Float, nearest: Int) -> None:
-    """Find the feet (f,) nearest to each of `vertices` (m,) on the side that across (m, 3) points to, and on the other.
-    x (n, 3); nearest (m, 2) is the result, -1 without a foot on that side.
+def _nearest(x: Float, feet: Int, turn: Float, vertices: Int, own: Float, across: Float, nearest: Int) -> None:
+    """Find the feet (f,) nearest to each of `vertices` (m,) on the side that across (m, 3) points to, and on the other,
+    within 45 degrees of it. x (n, 3); turn (f,) and own (m,) are above 0 on ridges, below in valleys, and 0 elsewhere;
+    nearest (m, 2) is the result, -1 without a foot on that side.
     """
     for i in range(len(vertices)):
         best_left, best_right = np.inf, np.inf
         nearest[i, 0], nearest[i, 1] = -1, -1
-        for foot in feet:
+        size = 0.0
+        for k in range(3):
+            size += across[i, k] * across[i, k]
+        for j in range(len(feet)):
             side, distance = 0.0, 0.0
             for k in range(3):
-                component = x[foot, k] - x[vertices[i], k]
+                component = x[feet[j], k] - x[vertices[i], k]
                 side += component * across[i, k]
                 distance += component * component
+            if turn[j] * own[i] > 0.0 or 2.0 * side * side < size * distance:
+                continue
             if side > 0.0 and distance < best_left:
-                best_left, nearest[i, 0] = distance, foot
+                best_left, nearest[i, 0] = distance, feet[j]
             if side < 0.0 and distance < best_right:
-                best_right, nearest[i, 1] = distance, foot
+                best_right, nearest[i, 1] = distance, feet[j]
 
 
 def find_crests(n: int, crossed: Crossed, raised: Raised) -> Int:
-    """Return vertices (5, c): new ones, the nearest unsmoothed ones to the left and to the right of their line, and the
-    new ones before and after them.
+    """Return vertices (5, c): new ones, the nearest feet to the left and to the right of their line, and the new ones
+    before and after them.
 
-    Ends of lines, and new vertices with unsmoothed ones on one side only, are left out.
+    Ends of lines, and new vertices with feet on one side only, are left out.
     """
     still = np.ones(len(raised.x), np.bool_)
-    still[raised.smoothed] = still[n:] = False
+    still[raised.smoothed] = False
     corners = np.zeros(len(raised.x), np.bool_)
     corners[raised.faces[raised.local]] = True
+    still[n:] = True
     feet = np.flatnonzero(corners & still).astype(np.int32)
+    turn = np.append(np.zeros(n), crossed.height)
     chains = [np.asarray(chain, np.int32) for chain in crossed.chains]
     before, inner, after = (
         np.concatenate([chain[part] for chain in chains]) for part in (np.s_[:-2], np.s_[1:-1], np.s_[2:])
     )
     along = raised.flat[n + after] - raised.flat[n + before]
     pair = np.empty((len(inner), 2), np.int32)
-    _nearest(raised.flat, feet, n + inner, np.cross(raised.normal[inner], along), pair)
+    across = np.cross(raised.normal[inner], along)
+    _nearest(raised.flat, feet, turn[feet], n + inner, crossed.height[inner], across, pair)
     crests = np.stack([n + inner, *pair.T, n + before, n + after])
     return np.ascontiguousarray(crests[:, (pair >= 0).all(axis=1)], np.int32)
 
@@ -143,7 +153,7 @@ class Wrinkle:
         near = find_near(fabric, state.x, region)
         raised = raise_lines(fabric, state.x, across, crossed, config.smoothing, region, near.stretch)
         crests = find_crests(fabric.number, crossed, raised)
-        kept = kept_rigidity(model["density"], raised.x, crests) if config.keep else None
+        kept = kept_rigidity(model["density"], raised.x, crests, fabric.number) if config.keep else None
         net = build_net(fabric, across, raised, near, region, used, config.springs, kept)
         return _outcome(fabric, state, crossed, raised, net, model, crests)
 

@@ -380,6 +380,26 @@ def test_kept_folds_are_at_rest_and_others_are_flat() -> None:
         draw(bare, LINE, keep=True)
 
 
+def test_a_kept_wrinkle_is_at_rest_as_it_is_raised_also_on_bent_cloth() -> None:
+    """Else a stiff fold, at rest as the bent cloth lay, would straighten a skirt or a sleeve."""
+    skirt = registry.load("nuno.models", "skirt")
+    fields = {"cells": "triangles", "columns": 24, "rows": 12, "fabric": "denim"}
+    cone = skirt.build(skirt.Config.model_validate(fields), SceneFiles(Path(".")), 0)
+    texture = [[[0.1 * i + 0.01, 0.9], [0.1 * i + 0.01, 0.1]] for i in range(10)]
+    lines = [{"texture": line, "height": 0.02 * (-1) ** i} for i, line in enumerate(texture)]
+    made = draw(cone, *lines, keep=True)
+    hinges = changed(made).fabric.hinges
+    assert hinges is not None
+    quads, new = hinges.quads(), cone.number
+    raised = (quads >= new).any(axis=1)
+    assert raised.sum() > 1000
+    assert np.allclose(hinges.rest[raised], fold_angles(changed(made).state.x, quads[raised]), atol=1e-12)
+    x, crests = changed(made).state.x, made.arrays["crests"]
+    wave = np.linalg.norm(x[crests[1]] - x[crests[2]], axis=1)
+    around = 2.0 * np.pi * np.hypot(x[crests[0], 0], x[crests[0], 2])
+    assert np.median(wave / around) == pytest.approx(0.2, rel=0.1)
+
+
 def test_speed_pins_and_texture_are_those_between_the_corners() -> None:
     fabric = sheet(pin=["top-row"])
     wrinkle = registry.load("nuno.operations", "wrinkle")
