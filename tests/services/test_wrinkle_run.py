@@ -21,8 +21,17 @@ from nuno.runtime import runs, supervisor
 from nuno.runtime.service import Options
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.gallery.kind import ShownScene, compare
-from nuno_bench.gallery.wrinkle import DIFFERENCES, KIND, Drawn
+from nuno_bench.gallery.wrinkle import (
+    BEFORE_TURN,
+    FIGURES,
+    KEPT,
+    SHIRT,
+    STAGES,
+    WIDTH,
+    Drawn,
+    find_hem,
+    measure_hem,
+)
 from nuno_contact.offset.contact_state import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, Int
@@ -340,12 +349,35 @@ def test_crests_belong_to_the_nearest_line_and_a_line_without_any_has_no_height(
     assert np.isnan(none).all()
 
 
-def test_what_thins_and_fades_meets_the_bar_and_what_stays_misses() -> None:
-    measures = [measure for one in DIFFERENCES for _, measure in (one.high, one.low)]
-    for values, verdict in (
-        ((0.05, 0.02, 4e-3, 1e-3, 1.0, 0.25), "bar met"),
-        ((0.05, 0.05, 4e-3, 4e-3, 1.0, 1.0), "missed"),
-    ):
-        shown = ShownScene("shirt-wrinkles", "", measured=dict(zip(measures, values, strict=True)))
-        assert [row[-1] for row in compare(DIFFERENCES, {shown.name: shown})] == [verdict] * 3
-    assert "shirt-wrinkles" in KIND.scenes()
+@pytest.mark.parametrize(("width", "left", "right", "holds"), [
+    (0.6, 0.5, 0.1, True), (0.9, 0.5, 0.1, False), (0.6, 0.1, 0.1, False), (0.6, 0.5, 0.4, False),
+])  # fmt: skip
+def test_a_shirt_is_the_papers_where_the_left_line_thins_and_the_right_disappears(
+    width: float, left: float, right: float, holds: bool
+) -> None:
+    measured = {WIDTH.format(1, STAGES[1]): 50.0, WIDTH.format(1, STAGES[3]): 50.0 * width}
+    measured |= {KEPT.format(1): left, KEPT.format(2): right}
+    (figure,) = (one for one in FIGURES if one.scenes == (SHIRT,))
+    assert figure.judge({SHIRT: measured}).holds is holds
+
+
+@pytest.mark.parametrize("lobes", [2, 7, 10])
+def test_a_wavy_hem_has_its_lobes_and_their_amplitude(lobes: int) -> None:
+    """Of r = R + a cos(n theta), wherever its points lie; a fold that runs back and forth on itself adds nothing."""
+    angle = np.sort(np.random.default_rng(1).uniform(-np.pi, np.pi, 2000))[::-1]
+    angle = np.concatenate([angle[:900], angle[600:900][::-1], angle[600:]])
+    radius = 0.24 + 0.02 * np.cos(lobes * angle)
+    points = np.stack([radius * np.cos(angle), 0.5 + 0.0 * angle, radius * np.sin(angle)], axis=1)
+    hem = measure_hem(points + np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 3.0]))
+    assert hem.lobes == lobes
+    assert hem.radius == pytest.approx(0.24, rel=1e-4) and hem.amplitude == pytest.approx(0.02, rel=1e-3)
+
+
+@pytest.mark.full
+def test_a_bloom_skirt_stands_as_wide_as_it_was_cut_in_as_many_lobes_as_ridges_were_drawn() -> None:
+    simulation = Simulation.with_bodies(scene_file.read(shipped.find("bloom-skirt")), 1)
+    hem = find_hem(simulation.fabric.faces, simulation.state.x)
+    while simulation.t < BEFORE_TURN - 1e-9:
+        assert simulation.step().report.status == "ok"
+    found = measure_hem(simulation.state.x[hem], np.array([0.0, 0.9, 0.0]))
+    assert found.lobes == 10 and found.radius >= 0.240

@@ -143,17 +143,17 @@ Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapp
 """Takes a scene, its recording and a folder to work in; gives pictures by label, and what is measured."""
 
 
-def show_scene(path: Path, look: Look, whole: bool = False) -> ShownScene:
+def show_scene(path: Path, look: Look, whole: bool = False, overrides: Sequence[str] = ()) -> ShownScene:
     """Run a scene's file to its end, or to where it fails, and look at its recording, of a `whole` run alone if asked.
 
     Raises BadInput.
     """
-    loaded = scene_file.read(path)
+    loaded = scene_file.read(path, overrides)
     shown = ShownScene(loaded.scene.name, loaded.scene.description)
     with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
         target = Path(folder) / f"{path.stem}.mcap"
         try:
-            nuno.run(path, record=target)
+            nuno.run(path, *overrides, record=target)
         except RunFailed as error:
             shown = replace(shown, failed=str(error).removesuffix(f"; recording kept in {target}"))
         if not target.is_file() or (whole and shown.failed):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,11 +14,14 @@ from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
-from nuno.scene import shipped
+from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
+from nuno.simulation.run import Simulation
 from nuno.studio.draw import distance_to
-from nuno_bench.gallery.kind import Difference, Gallery, read_picture, show_scene
+from nuno_bench.gallery.kind import Figure, Finding, Gallery, Measures, read_picture, show_scene
+from nuno_bench.report.page import Table
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int, State
 from nuno_schemas.pictures import Picture
 
@@ -27,15 +31,22 @@ NAMES = ("hung-cloth-wrinkle", "bloom-skirt", "shirt-wrinkles")
 """Figures 4, 5 and 6, and 7 and 8."""
 SIZE = (640, 480)
 STAGES = ("as it was", "just drawn", "half way", "at the end")
+STANDING, TURNING = "standing", "turning"
+"""Stages of the skirt, before it is turned and at the end."""
+BEFORE_TURN = 2.0
+"""When the skirt begins to turn [s]."""
 HEIGHT, WIDTH, KEPT = "height of line {}, {} [mm]", "width of line {}, {} [mm]", "height kept by line {}"
-SHIRT = "shirt-wrinkles"
-"""Whose first line is on the wearer's left, whose second is on the right."""
-DIFFERENCES = (
-    Difference("the left wrinkle thins while it settles", (SHIRT, WIDTH.format(1, STAGES[1])),
-               (SHIRT, WIDTH.format(1, STAGES[3]))),
-    Difference("the right wrinkle fades", (SHIRT, HEIGHT.format(2, STAGES[1])), (SHIRT, HEIGHT.format(2, STAGES[3]))),
-    Difference("the left one stays where the right one fades", (SHIRT, KEPT.format(1)), (SHIRT, KEPT.format(2))),
+UNEVEN, REACH = "height round the circle, least over most, {}", "largest speed at the end [mm/s]"
+RIDGES, CUT, RADIUS, LOBES, DEPTH = (
+    "ridges drawn", "mean radius of the hem, as cut [mm]", "mean radius of the hem, {} [mm]", "lobes of the hem, {}",
+    "amplitude of its lobes, {} [mm]",
 )  # fmt: skip
+HUNG, BLOOM, SHIRT = NAMES
+"""The shirt's first line is on the wearer's left, its second on the right."""
+RESTING = 5.0
+"""Largest speed of cloth at rest [mm/s]."""
+THIN, GONE = 0.8, 0.25
+"""Share of its width that a line has at most that has thinned, and of its height one that has disappeared."""
 
 
 def scenes() -> dict[str, Path]:
@@ -46,19 +57,31 @@ def scenes() -> dict[str, Path]:
 
 def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
     """Draw the stages of a recording, and measure its lines."""
-    last = read_frame(recording)
-    first = round(min((one["at"] for one in _operations(loaded)), default=0.0) * loaded.scene.frame_rate)
-    before = read_frame(recording, first)
-    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
-    drawn = first + len(found)
-    half = (drawn + last.number) // 2
-    frames = found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
+    frames = _stages(loaded, recording)
     pictures = [
         (f"{label}, {frame.t:.3g} s",
          read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
         for label, frame in frames.items()
     ]  # fmt: skip
+    if loaded.scene.name == BLOOM:
+        return pictures, _measure_skirt(recording, frames, loaded)
+    if loaded.scene.name == HUNG:
+        return pictures, _measure_circle(recording, frames, loaded)
     return pictures, _measure(recording, frames, loaded)
+
+
+def _stages(loaded: Loaded, recording: Recording) -> dict[str, Frame]:
+    """The frames that are shown, by their stages."""
+    last = read_frame(recording)
+    first = round(min((one["at"] for one in _operations(loaded)), default=0.0) * loaded.scene.frame_rate)
+    before = read_frame(recording, first)
+    if loaded.scene.name == BLOOM:
+        standing = read_frame(recording, round(BEFORE_TURN * loaded.scene.frame_rate))
+        return {STAGES[1]: before, STANDING: standing, TURNING: last}
+    found = {STAGES[0]: before} if len(before.x) < len(last.x) else {}
+    drawn = first + len(found)
+    half = (drawn + last.number) // 2
+    return found | {STAGES[1]: read_frame(recording, drawn), STAGES[2]: read_frame(recording, half), STAGES[3]: last}
 
 
 def _operations(loaded: Loaded) -> list[dict[str, Any]]:
@@ -95,6 +118,79 @@ def _measure(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> 
     for i in range(1, len(lines) + 1):
         found[KEPT.format(i)] = found[HEIGHT.format(i, STAGES[3])] / found[HEIGHT.format(i, STAGES[1])]
     return found
+
+
+class Hem(NamedTuple):
+    """Mean radius over the angle [m], the number of lobes of the largest harmonic of radius over angle, and its
+    amplitude [m].
+    """
+
+    radius: float
+    lobes: int
+    amplitude: float
+
+
+def measure_hem(points: Float, centre: Float) -> Hem:
+    """Return the shape of a closed line (p, 3) round an upright axis through `centre` (3,).
+
+    The coefficients are c_n = (1 / 2 pi) integral of r e^(-i n theta) d theta along the line, r being constant on
+    each of its parts: what the line runs back in a fold counts as negative.
+    """
+    across, deep = (points - centre)[:, [0, 2]].T
+    radius, angle = np.hypot(across, deep), np.unwrap(np.arctan2(deep, across))
+    turn = np.append(angle, angle[0] + 2.0 * np.pi * np.sign(angle[-1] - angle[0]))
+    part, mean, waves = np.diff(turn), 0.5 * (radius + np.roll(radius, -1)), np.arange(1, len(points) // 2)
+    share, middle = part / (turn[-1] - turn[0]), turn[:-1] + 0.5 * part
+    smeared = np.sinc(np.outer(waves, part) / (2.0 * np.pi)) * np.exp(-1j * np.outer(waves, middle))
+    size = 2.0 * np.abs(smeared @ (share * mean))
+    return Hem(float(share @ mean), int(waves[size.argmax()]), float(size.max()))
+
+
+def find_hem(faces: Int, x: Float) -> Int:
+    """Return the vertices of the lowest border in order."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    inner = {(int(b), int(a)) for a, b in edges}
+    after = {int(a): int(b) for a, b in edges if (int(a), int(b)) not in inner}
+    loops = []
+    while after:
+        loop = [next(iter(after))]
+        while loop[-1] in after:
+            loop.append(after.pop(loop[-1]))
+        loops.append(np.array(loop[:-1], np.int32))
+    return min(loops, key=lambda loop: float(x[loop, 1].mean()))
+
+
+def _measure_skirt(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> dict[str, float]:
+    """Of the hem, as cut and at each stage."""
+    heights = [line.height for one in loaded.operations for line in one.config.lines]
+    model = loaded.models[0].config.model_dump()
+    faces, centre = Pieces(recording).at(0.0)[0].faces, np.array(model["centre"])
+    found = {RIDGES: float(sum(height > 0.0 for height in heights)), CUT: 1e3 * model["hem_radius"]}
+    for stage, frame in frames.items():
+        hem = measure_hem(frame.x[find_hem(faces, frames[STAGES[1]].x)].astype(np.float64), centre)
+        found |= {RADIUS.format(stage): 1e3 * hem.radius, LOBES.format(stage): float(hem.lobes),
+                  DEPTH.format(stage): 1e3 * hem.amplitude}  # fmt: skip
+    return found
+
+
+def _measure_circle(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> dict[str, float]:
+    """Of the closed line: how unevenly high its crests stand as it is raised and at the end; and how still the cloth
+    lies then.
+    """
+    x = _raise(loaded, frames[STAGES[0]])
+    faces = Pieces(recording).at(frames[STAGES[1]].t)[0].faces
+    arrays = recording.last_checkpoint().arrays
+    crests, uv = arrays["fabric/crests/0"], arrays["fabric/uv"]
+    circle = np.array(next(line["texture"] for one in _operations(loaded) for line in one["lines"] if line["closed"]))
+    away = np.linalg.norm(uv[crests[0]] - circle.mean(axis=0), axis=1) < 1.25 * np.ptp(circle, axis=0).max() / 2.0
+    found = {}
+    for stage, places in ((STAGES[1], x), (STAGES[3], frames[STAGES[3]].x.astype(np.float64))):
+        heights = np.array([_across(places, faces, crest)[0] for crest in crests[:, away].T])
+        low, high = np.percentile(heights, (10, 90))
+        found[UNEVEN.format(stage)] = float(low / high)
+    last = frames[STAGES[3]]
+    moved = np.linalg.norm(last.x - read_frame(recording, last.number - 1).x, axis=1).max()
+    return found | {REACH: 1e3 * float(moved) * loaded.scene.frame_rate}
 
 
 class Ridge(NamedTuple):
@@ -169,12 +265,140 @@ def _cut(faces: Int, left: Bool, flat: Float, beside: Float) -> tuple[Float, Flo
     return ends[0], ends[1]
 
 
+def _judge_circle(measured: Measures) -> Finding:
+    drawn, end, speed = (measured[HUNG][name] for name in (UNEVEN.format(STAGES[1]), UNEVEN.format(STAGES[3]), REACH))
+    value = f"drawn {drawn:.2f}, at rest {end:.2f}; {speed:.2g} mm/s at the end"
+    return Finding(value, end < 0.5 * drawn and speed < RESTING)
+
+
+def _judge_skirt(measured: Measures) -> Finding:
+    skirt = measured[BLOOM]
+    radius, lobes = skirt[RADIUS.format(STANDING)], skirt[LOBES.format(STANDING)]
+    value = (
+        f"cut {skirt[CUT]:.1f} mm, raised {skirt[RADIUS.format(STAGES[1])]:.1f} mm, standing {radius:.1f} mm; "
+        f"{lobes:.0f} lobes for {skirt[RIDGES]:.0f} ridges, {skirt[DEPTH.format(STANDING)]:.1f} mm"
+    )
+    return Finding(value, radius >= skirt[CUT] and lobes == skirt[RIDGES])
+
+
+def _judge_turning(measured: Measures) -> Finding:
+    skirt = measured[BLOOM]
+    before, after = skirt[RADIUS.format(STANDING)], skirt[RADIUS.format(TURNING)]
+    lobes, depth = skirt[LOBES.format(TURNING)], skirt[DEPTH.format(TURNING)]
+    value = f"standing {before:.1f} mm, turning {after:.1f} mm; {lobes:.0f} lobes, {depth:.1f} mm"
+    return Finding(value, after > before and lobes == skirt[RIDGES])
+
+
+def _judge_shirt(measured: Measures) -> Finding:
+    shirt = measured[SHIRT]
+    return _judge_shares(
+        shirt[WIDTH.format(1, STAGES[3])] / shirt[WIDTH.format(1, STAGES[1])],
+        *(shirt[KEPT.format(i)] for i in (1, 2)),
+    )
+
+
+def _judge_shares(width: float, left: float, right: float) -> Finding:
+    """By shares at the end of the left line's width and of both lines' heights when drawn."""
+    value = f"left: {width:.2f} of its width, {left:.2f} of its height; right: {right:.2f} of its height"
+    return Finding(value, width <= THIN and left > GONE >= right, "")
+
+
+OWN, FABRIC = "operations.0", "objects.0.model.fabric"
+LINES = range(20)
+"""Of the skirt, ridges and valleys by turns."""
+SKIRTS: Mapping[str, tuple[str, ...]] = {
+    "as shipped": (),
+    "not kept": (f"{OWN}.keep=false",),
+    "limp, 30 uN m": (f"{FABRIC}.hinge=3.0e-5",),
+    "limp, and not kept": (f"{FABRIC}.hinge=3.0e-5", f"{OWN}.keep=false"),
+    "twice as heavy": (f"{FABRIC}.density=0.24",),
+    "3 passes of smoothing": (f"{OWN}.smoothing.passes=3",),
+    "ridges as high as valleys are deep, 3 cm": tuple(f"{OWN}.lines.{i}.height={0.03 * (-1) ** i}" for i in LINES),
+}
+"""Variants of the skirt, and their overrides."""
+SHIRTS: Mapping[str, tuple[str, ...]] = {
+    "48 round": ("objects.0.model.around=48",),
+    "64 round, as shipped": (),
+    "80 round": ("objects.0.model.around=80",),
+    "new springs: physical": (f"{OWN}.springs=physical",),
+    "kept": (f"{OWN}.keep=true",),
+    "half the friction": ("bodies.0.friction=0.2",),
+}
+"""Variants of the shirt, and their overrides."""
+
+
+def sweep_skirt() -> Table:
+    """The hem before the skirt is turned, of its variants."""
+    rows = []
+    for name, own in SKIRTS.items():
+        simulation = Simulation.with_bodies(scene_file.read(scenes()[BLOOM], own))
+        centre = np.array(simulation.loaded.models[0].config.model_dump()["centre"])
+        hem = find_hem(simulation.fabric.faces, simulation.state.x)
+        found = [measure_hem(simulation.state.x[hem], centre)]
+        while simulation.t < BEFORE_TURN - 1e-9 and simulation.step().report.status == "ok":
+            pass
+        found.append(measure_hem(simulation.state.x[hem], centre))
+        rows.append(
+            [name, *(f"{1e3 * one.radius:.1f} mm, {one.lobes} of {1e3 * one.amplitude:.1f} mm" for one in found)]
+        )
+    caption = "Mean radius of the hem, and the number and amplitude of its lobes."
+    return Table(("variant", "as raised", f"after {BEFORE_TURN:g} s"), rows, caption, prose=True)
+
+
+def sweep_shirt() -> Table:
+    """What is left of both lines on variants of the shirt."""
+    rows = []
+    for name, own in SHIRTS.items():
+        try:
+            shown = show_scene(scenes()[SHIRT], measure_only, overrides=own)
+            finding = _judge_shirt({SHIRT: shown.measured})
+            rows.append([name, finding.value, "yes" if finding.holds else "no"])
+        except BadInput as error:
+            rows.append([name, f"refused: {error.problem}", "no"])
+    return Table(("variant", "at the end", "as the paper says"), rows, "Shares of what was drawn.", prose=True)
+
+
+def measure_only(
+    loaded: Loaded, recording: Recording, folder: Path
+) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """As `look`, without pictures."""
+    return [], _measure(recording, _stages(loaded, recording), loaded)
+
+
+FIGURES = (
+    Figure(
+        "4", "A wrinkle that cannot be in the real world, where a part of the cloth alone bulges in a circle, becomes "
+        "a shape that can arise.",
+        "height round the circle, its lowest tenth over its highest: at rest less than half of what it was when drawn; "
+        f"at rest: no vertex faster than {RESTING:g} mm/s", (HUNG,), _judge_circle,
+    ),
+    Figure(
+        "5", "A simple cone becomes a bloom skirt: its hem widens, and has wrinkles.",
+        "mean radius of the hem before it is turned: not below that of the cut; largest harmonic of its radius over "
+        "the angle: as many lobes as ridges were drawn", (BLOOM,), _judge_skirt, (STAGES[1], STANDING),
+        "The paper prints neither weights nor constants, nor how high the lines are. Ridges are drawn further out than "
+        "valleys in, to the hem itself; folds are kept, as the rest lengths of the paper's bending springs keep them.",
+        sweep_skirt,
+    ),
+    Figure(
+        "6", "Turned by an external force, the wrinkles spread.",
+        "mean radius of the hem: larger than standing; largest harmonic: still the ridges", (BLOOM,), _judge_turning,
+        (TURNING,),
+    ),
+    Figure(
+        "7, 8", "Of two lines on a shirt, the left wrinkle thins while it settles, and the right one disappears.",
+        f"left: at the end at most {THIN:g} of its width when drawn, and more than {GONE:g} of its height; right: at "
+        f"most {GONE:g} of its height", (SHIRT,), _judge_shirt, sweep=sweep_shirt,
+    ),
+)  # fmt: skip
+
 KIND = Gallery(
     title="Wrinkles",
     lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
     scenes=scenes,
     run_scene=partial(show_scene, look=look, whole=True),
-    differences=DIFFERENCES,
+    differences=(),
+    figures=FIGURES,
     measures="Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along "
     "that chord, at half the height. Just drawn is as it is raised, before any step.",
 )
