@@ -95,7 +95,8 @@ class Isotherm:
 class Dye:
     """One dye: D0 [m^2/s], its diffusion coefficient in water, and its adsorption by fibre.
 
-    `adsorption` is D_ab / D0; if it is 0, or without an isotherm, nothing is fixed. Without `weisz_zollinger`
+    `adsorption` is D_ab / D0; if it is 0, or without an isotherm, nothing is fixed. `uptake` is driven by the
+    difference phi - A of mobile and fixed dye, or by the amount phi, until A is at its limit. Without `weisz_zollinger`
     D = D0 P T; a solver that does not support it refuses it.
     """
 
@@ -104,6 +105,7 @@ class Dye:
     adsorption: float = 0.0
     isotherm: Isotherm | None = None
     weisz_zollinger: WeiszZollinger | None = None
+    uptake: Literal["difference", "amount"] = "difference"
 
     @property
     def steepest(self) -> float:

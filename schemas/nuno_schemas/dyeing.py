@@ -238,6 +238,12 @@ class Dyestuff(Part):
         default=0.0, ge=0, le=1e6, description="D_ab / D0, how fast fibre fixes dye; 0: it fixes none"
     )
     isotherm: Choice | None = Field(default=None, description="how much fibre fixes at most: a plugin and its fields")
+    uptake: Literal["difference", "amount"] = Field(
+        default="difference",
+        description="what drives adsorption: the difference of mobile and fixed dye, which ends it where they are "
+        "equal; or the amount of mobile dye, until fibre holds what the isotherm allows",
+        examples=["amount"],
+    )
     weisz_zollinger: WeiszZollinger | None = Field(default=None, description="how D falls with dye; else D = D0 P T")
     colour: DyeColour = Field(default=DyeColour(), description="on cloth, in pictures")
 

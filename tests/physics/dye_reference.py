@@ -97,13 +97,15 @@ def limit(isotherm: str, phi: float, room: float) -> float:
     }[isotherm]
 
 
-def plain_step(phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str) -> tuple[Float, Float]:
-    """One step, cell by cell and face by face, from the text of the method."""
+def plain_step(
+    phi: Float, fixed: Float, cells: Cells, scale: float, rate: float, isotherm: str, back: float = 1.0
+) -> tuple[Float, Float]:
+    """One step, cell by cell and face by face, from the text of the method; phi - back A drives adsorption."""
     phi, fixed = phi.copy(), fixed.copy()
     for at in np.ndindex(*phi.shape):
         room = (1.0 - cells.porosity[at]) * cells.v_max if cells.fibre[at] else 0.0
         most = min(room, limit(isotherm, phi[at], room)) - fixed[at]
-        taken = max(0.0, min(rate * phi[at], most, phi[at]))
+        taken = max(0.0, min(rate * max(0.0, phi[at] - back * fixed[at]), most, phi[at]))
         phi[at] -= taken
         fixed[at] += taken
     flows = face_flows(phi, cells, scale)

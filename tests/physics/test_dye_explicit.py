@@ -70,24 +70,26 @@ def run(
     steps: int,
     bands: int = 1,
     steepest: float = 1.0,
+    back: float = 1.0,
 ) -> tuple[Float, Float]:
     packed = make_dye_bands(phi, cells, face_values(cells), scale, bands, steepest)
     kind, k, b = ISOTHERMS[isotherm]
     bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
-    uptake = None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate)
+    uptake = None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate, back)
     dye(steps, packed, uptake, None, None, np.zeros(1, np.int64))
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
 
 
+@pytest.mark.parametrize("back", [1.0, 0.0])
 @pytest.mark.parametrize("isotherm", ISOTHERMS)
-def test_dye_step_equals_a_plain_loop(isotherm: str) -> None:
+def test_dye_step_equals_a_plain_loop(isotherm: str, back: float) -> None:
     cells = resisted(11, 14)
     phi, fixed = start(cells)
     scale, steps = 0.95 / largest_sum(face_values(cells)), 2 * LEVELS + 2
     exact = phi, fixed
     for _ in range(steps):
-        exact = plain_step(*exact, cells, scale, 0.05, isotherm)
-    found = run(phi, fixed, cells, scale, 0.05, isotherm, steps)
+        exact = plain_step(*exact, cells, scale, 0.05, isotherm, back)
+    found = run(phi, fixed, cells, scale, 0.05, isotherm, steps, back=back)
     for a, b in zip(found, exact, strict=True):
         assert np.abs(a - b).max() < 1e-12
     assert (exact[1].max() > 0.0) == (isotherm != "nothing")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import fsum
-from typing import Any
+from typing import Literal, Any
 
 import numpy as np
 import pytest
@@ -47,20 +47,28 @@ def test_diffusion_is_of_the_solvers_order(name: str) -> None:
 @pytest.mark.quick(kept_up=[True], name=["rkl2"])
 @pytest.mark.parametrize("name", SECOND)
 @pytest.mark.parametrize("kept_up", [False, True])
-def test_fibre_takes_dye_with_second_order_up_to_its_limit(name: str, kept_up: bool) -> None:
-    """A cell by itself: A = S (1 - exp(-rho t)), or phi rho t, exactly, where phi is kept up; then its limit."""
+@pytest.mark.parametrize("uptake", ["difference", "amount"])
+def test_fibre_takes_dye_with_second_order_up_to_its_limit(
+    name: str, kept_up: bool, uptake: Literal["difference", "amount"]
+) -> None:
+    """A cell by itself: A = S/2 (1 - exp(-2 rho t)), or phi (1 - exp(-rho t)) where phi is kept up; then its limit.
+    By the amount: S (1 - exp(-rho t)), or phi rho t.
+    """
     closed = Tortuosity(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     cells = Cells(ONES > 0, ONES > 0, 0.5 * ONES, ONES, 0 * ONES, 1.0, closed)
     free, bound = Isotherm("partition", 1e3), Isotherm("langmuir", 1.0)
     phi, rho = 0.3 * ONES, 0.7
     errors = []
     for n in (8, 16, 32, 64):
-        system = DyeSystem(cells, (Dye("blue", 1.0, rho, free),), supply=phi[None] if kept_up else None)
+        dye = Dye("blue", 1.0, rho, free, uptake=uptake)
+        system = DyeSystem(cells, (dye,), supply=phi[None] if kept_up else None)
         fixed = run(name, system, phi, 0 * phi, 1.5, n)[0].fixed
-        exact = 0.3 * (1.5 * rho if kept_up else 1.0 - np.exp(-1.5 * rho))
+        exact = 0.3 * (1.0 - np.exp(-1.5 * rho)) if kept_up else 0.15 * (1.0 - np.exp(-3.0 * rho))
+        if uptake == "amount":
+            exact = 0.3 * 1.5 * rho if kept_up else 0.3 * (1.0 - np.exp(-1.5 * rho))
         errors.append(float(np.abs(fixed - exact).max()))
-    assert errors[-1] < 1e-13 if kept_up else orders(errors)[-1] > 1.8 and errors[-1] < 2e-5
-    system = replace(system, dyes=(Dye("blue", 1.0, rho, bound),))
+    assert errors[-1] < 1e-12 or (orders(errors)[-1] > 1.8 and errors[-1] < 2e-5)
+    system = replace(system, dyes=(Dye("blue", 1.0, rho, bound, uptake=uptake),))
     end, _ = run(name, system, phi, 0 * phi, 50.0, 20)
     assert end.fixed == pytest.approx(0.5 * end.phi / (1.0 + end.phi), rel=1e-9)
 
@@ -173,7 +181,7 @@ def test_the_explicit_solver_comes_to_it_as_its_steps_shrink(name: str, supplied
     phi, fixed = start(cells)
     system = replace(dyed(cells, LAWS.get(name)), supply=kept(cells) if supplied else None)
     t = 120.0 * limit(system)
-    ours, report = run("rkl2", system, phi, fixed, t, 1920)
+    ours, report = run("rkl2", system, phi, fixed, t, 480)
     gaps = [
         max(float(np.abs(getattr(ours, field) - getattr(other, field)).max()) for field in ("phi", "fixed"))
         for other in (follow(system, phi, fixed, t, n) for n in (150, 600, 2400))
@@ -197,7 +205,7 @@ def test_what_fibre_fixes_while_a_drop_spreads_falls_with_finer_starts(name: str
     t = 300.0 * limit(system)
     exact = follow(system, phi, 0 * phi, t, 4800)
     errors = []
-    for parts in (2, 8, 32):
+    for parts in (1, 4, 16):
         state = DyeState(phi[None].copy(), 0 * phi[None])
         memory = Rkl2().prepare(Rkl2Config(start=parts), system, state)
         Rkl2().advance(system, state, memory, 1, t)
@@ -240,13 +248,13 @@ def test_steps_come_to_the_explicit_solvers_amounts_as_they_shrink(name: str, su
     t = 120.0 * limit(system)
     other = follow(system, phi, fixed, t, 9600)
     gaps = []
-    for steps in (96, 384, 1536):
+    for steps in (24, 96, 384):
         ours, report = run("backward_euler", system, phi, fixed, t, steps)
         assert report.status == "ok" and report.totals["halvings"] == 0
         gaps.append(max(float(np.abs(getattr(ours, one) - getattr(other, one)).max()) for one in ("phi", "fixed")))
     assert gaps[2] < 1e-3 and gaps[0] > 2.0 * gaps[1] > 4.0 * gaps[2]
-    second, _ = run("sdirk2", system, phi, fixed, t, 1536)
-    assert max(np.abs(second.phi - other.phi).max(), np.abs(second.fixed - other.fixed).max()) < 1e-3
+    second, _ = run("sdirk2", system, phi, fixed, t, 384)
+    assert max(np.abs(second.phi - other.phi).max(), np.abs(second.fixed - other.fixed).max()) < 2e-3
 
 
 @pytest.mark.quick(name=["langmuir"])

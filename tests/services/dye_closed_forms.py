@@ -48,8 +48,8 @@ def disc(t: float, start: Float) -> Float:
 
 
 def fibre(t: float, start: Float) -> Float:
-    """What is left in a cell whose fibre takes D_ab / d^2 phi: phi falls by exp(-r t), until A = SLOPE phi."""
-    return start * max(math.exp(-ADSORPTION * D0 / CELL**2 * t), 1.0 / (1.0 + SLOPE))
+    """What is left in a cell whose fibre takes D_ab / d^2 (phi - A): phi + A stays, phi - A falls by exp(-2 r t)."""
+    return 0.5 * start * (1.0 + math.exp(-2.0 * ADSORPTION * D0 / CELL**2 * t))
 
 
 CASES: dict[str, Callable[[float, Float], Float]] = {"two-cells": two_cells, "disc": disc, "fibre": fibre}

@@ -77,7 +77,7 @@ def step_plainly(data: dict[str, Any], phi: Float, fixed: Float, dt: float, adso
     for c in np.ndindex(*phi.shape):
         room = 1.0 - P[c] if data["fibre"][c] else 0.0
         most = min(room, room * K * phi[c] / (1.0 + K * phi[c])) - fixed[c]
-        taken = max(0.0, min(adsorption * scale * phi[c], most, phi[c]))
+        taken = max(0.0, min(adsorption * scale * (phi[c] - fixed[c]), most, phi[c]))
         phi[c], fixed[c] = phi[c] - taken, fixed[c] + taken
     before, came, went = phi.copy(), np.zeros(phi.shape), np.zeros(phi.shape)
     flows = {}

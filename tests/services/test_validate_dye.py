@@ -131,7 +131,7 @@ class Refusing(Explicit):
         (Quick, "order, dye"),
         (Quick, "two layers"),
         (Quick, "bath"),
-        (Quick, "uptake"),
+        (Quick, "uptake by difference"),
         (Leaky, "balance"),
         (Negative, "bounds"),
         (Seeping, "resist line"),
@@ -165,7 +165,7 @@ def test_what_a_solver_cannot_pose_is_unsupported_with_its_reason() -> None:
 def test_who_refuses_plain_diffusion_breaks_its_law() -> None:
     found = check("two layers", Picky())
     assert found.verdict == "failed" and "not today" in found.reason
-    assert check("uptake", Picky()).verdict == "unsupported", "of an isotherm"
+    assert check("uptake by difference", Picky()).verdict == "unsupported", "of an isotherm"
 
 
 def test_other_packages_solvers_are_held_to_the_laws_of_dye_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import ValidationError
@@ -343,27 +343,34 @@ def measure_resist(plugin: Any) -> Measurement:
     return Measurement(behind, 0.0, behind, 0.0)
 
 
-def _taken(plugin: Any, isotherm: Isotherm, duration: float, step: float) -> float:
+def _taken(
+    plugin: Any,
+    isotherm: Isotherm,
+    duration: float,
+    step: float,
+    uptake: Literal["difference", "amount"] = "difference",
+) -> float:
     """Return what fibre takes of even dye AMOUNT in `duration` / r, in steps of at most `step` / r, r = ADSORB."""
-    dye, phi = Dye("dye", D0, TAKEN, isotherm), np.full((2, 4, 4), AMOUNT)
+    dye, phi = Dye("dye", D0, TAKEN, isotherm, uptake=uptake), np.full((2, 4, 4), AMOUNT)
     return float(DyeRun(plugin, make_cells(4, 4), phi, dye).go(duration / ADSORB, step / ADSORB).fixed.mean())
 
 
-@laws("uptake", "closed form")
-def measure_uptake(plugin: Any) -> Measurement:
-    """Even dye M, which fibre takes up without a limit, is taken up as A = M (1 - exp(-r t)), r = D_ab / d^2.
+@laws({f"uptake by {name}": {"uptake": name, "end": end} for name, end in (("difference", 2.0), ("amount", 1.0))},
+      "closed form")  # fmt: skip
+def measure_uptake(plugin: Any, uptake: Literal["difference", "amount"], end: float) -> Measurement:
+    """Even dye M, which fibre takes up without a limit, is taken up as A = M / n (1 - exp(-n r t)), r = D_ab / d^2.
 
-    It is the solution of dA/dt = r phi.
+    It is the solution of dA/dt = r (phi - A), n = 2, and of dA/dt = r phi, n = 1.
     """
-    measured = _taken(plugin, Isotherm("partition", 1.0), 0.5, 0.5 / 2000.0)
-    return relative(measured, AMOUNT * (1.0 - math.exp(-0.5)), 1e-3)
+    measured = _taken(plugin, Isotherm("partition", 1.0), 0.5, 0.5 / 2000.0, uptake)
+    return relative(measured, AMOUNT / end * (1.0 - math.exp(-0.5 * end)), 1e-3)
 
 
 @laws({f"rest, {name}": {"isotherm": of, "limit": a} for name, (of, a) in LAWS.items()}, "A = A_d(M - A)")
 def measure_rest(plugin: Any, isotherm: Isotherm, limit: Callable[[float], float]) -> Measurement:
     """Even dye M that adsorbs until nothing changes leaves A on the fibre as the isotherm A_d says.
 
-    Fibre takes r phi until it holds what it may: that is done before 5 / r.
+    Fibre takes at least r (phi - A) until it holds what it may: that is done before 5 / r.
     """
     expected = bisect(0.0, AMOUNT, lambda held: limit(AMOUNT - held) <= held)
     return relative(_taken(plugin, isotherm, 5.0, 1e-3), expected, 3e-3)

@@ -1,8 +1,9 @@
-"""Adsorption: a step takes (D_ab dt / d^2) phi from the mobile phi to the fixed A.
+"""Adsorption: a step takes (D_ab dt / d^2) (phi - A)^+ from the mobile phi to the fixed A; or (D_ab dt / d^2) phi.
 
-It goes on until the isotherm and the fibre's capacity V_d allow no more: a step takes at most min(V_d, A_d(phi)) - A,
-and at most phi; A never decreases (dye paper, equations 5 to 8: a one-way diffusion while A exceeds neither). Rejected:
-a rate by phi - A, which would stop at A = phi, below the limit of an isotherm that fixes more than is mobile.
+It takes no more than the isotherm and the fibre's capacity V_d allow, min(V_d, A_d(phi)) - A, nor than phi; A never
+decreases (dye paper, equations 5 to 8). The paper computes uptake "like diffusion, by equation 2", whose drive is a
+difference, and "as a one-way diffusion while A exceeds neither V_d nor A_d", which phi - A ends before where A_d > phi:
+both readings are there.
 """
 
 from __future__ import annotations
@@ -21,17 +22,19 @@ NOTHING, PARTITION, FREUNDLICH, LANGMUIR = 0, 1, 2, 3
 class Law(NamedTuple):
     """The rate at which fibre takes dye in a step or a stage, and its limit.
 
-    Tuples for parallel loops have these four fields themselves: numba allows no tuple within a tuple there.
+    Tuples for parallel loops have these five fields themselves: numba allows no tuple within a tuple there.
 
     kind           one of the isotherms above, NOTHING if fibre takes no dye
     first, second  its parameters: k, k and b, or K
     rate           D_ab dt / d^2
+    back           1 if phi - A drives it, 0 if phi does
     """
 
     kind: int
     first: float
     second: float
     rate: float
+    back: float
 
 
 class Uptake(NamedTuple):
@@ -39,7 +42,7 @@ class Uptake(NamedTuple):
 
     fixed  fixed amounts A
     fibre  capacity V_d for fixed dye, 0 in gaps
-    kind, first, second, rate  as in Law
+    kind, first, second, rate, back  as in Law
     """
 
     fixed: Float
@@ -48,6 +51,7 @@ class Uptake(NamedTuple):
     first: float
     second: float
     rate: float
+    back: float
 
 
 @kernel
@@ -73,7 +77,7 @@ def may_bind(first: float, phi: Any, fixed: Any, free: Any, pace: float) -> Any:
 def adsorb(phi: Float, fixed: Float, fibre: Float, row: int, c: int, law: Law) -> Any:
     """Fix dye in eight cells. Return the remaining mobile dye."""
     mobile, bound, capacity = load(phi, row, c), load(fixed, row, c), load(fibre, row, c)
-    taken = lower(lower(law.rate * mobile, capacity - bound), mobile)
+    taken = lower(lower(law.rate * (mobile - law.back * bound), capacity - bound), mobile)
     if law.kind != FREUNDLICH or may_bind(law.first, mobile, bound, taken, 1.0):
         taken = lower(taken, limit_of(law, mobile, capacity) - bound)
     taken = higher(taken, splat(0.0))
@@ -86,7 +90,8 @@ def adsorb(phi: Float, fixed: Float, fibre: Float, row: int, c: int, law: Law) -
 @kernel
 def adsorb_both(phi: Float, uptake: Uptake, b: int, start: int, row: int, r: int) -> None:
     """Fix dye in one row of both layers of band `b`, (2 r, w), from column `start`."""
-    law, fixed, fibre = Law(uptake.kind, uptake.first, uptake.second, uptake.rate), uptake.fixed[b], uptake.fibre[b]
+    law = Law(uptake.kind, uptake.first, uptake.second, uptake.rate, uptake.back)
+    fixed, fibre = uptake.fixed[b], uptake.fibre[b]
     for at in (row, row + r):
         for c in range(start, phi.shape[1] - WIDTH, WIDTH):
             adsorb(phi, fixed, fibre, at, c, law)

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_dye.laws.adsorption import NOTHING, Uptake
+from nuno_dye.laws.adsorption import NOTHING, Law, Uptake
 from nuno_dye.laws.diffusivity import curve_of, face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
@@ -129,7 +129,7 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
         if system.leave[0]:
             break
         if function is not None and count:
-            _adsorb(phi, fixed, cells, one.adsorption * scale, function)
+            _adsorb(phi, fixed, cells, law_of(one, scale), function)
         bands = bands._replace(phi=cut.fill(phi)[0])
         uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
         if isinstance(bands, DyeBands):
@@ -160,10 +160,10 @@ def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, 
     return bands
 
 
-def _adsorb(phi: Float, fixed: Float, cells: Cells, rate: float, function: Callable[[Float, Float], Float]) -> None:
+def _adsorb(phi: Float, fixed: Float, cells: Cells, law: Law, function: Callable[[Float, Float], Float]) -> None:
     """Fix dye like nuno_dye.laws.adsorption.adsorb, by an isotherm in Python."""
     capacity = cells.fixed_room
     most = np.minimum(capacity, function(phi, capacity)) - fixed
-    taken = np.maximum(np.minimum(np.minimum(rate * phi, most), phi), 0.0)
+    taken = np.maximum(np.minimum(np.minimum(law.rate * (phi - law.back * fixed), most), phi), 0.0)
     phi -= taken
     fixed += taken

@@ -1,6 +1,6 @@
 """Adsorption within a long step: a rate in each of its stages, and settled at its end.
 
-A stage takes D_ab / d^2 phi, but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
+A stage takes D_ab / d^2 (phi - A) or D_ab / d^2 phi, but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
 dye reaches its limit within a few explicit steps. The stages damp those modes by at least half a step. The remaining
 distance to the limit is taken at the end: the A of a cell that holds S = phi + A satisfies A = A_d(S - A), or, if phi
 is maintained, A_d(phi). It is at most what D_ab allows in the step, at the mean phi.
@@ -26,7 +26,7 @@ ROUNDS = 60
 @forced_inline
 def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
     """Return the uptake of eight cells. A tuple of arrays as argument would make the call cost more than its work."""
-    taken = lower(law.rate * phi, pace * (room - fixed))
+    taken = lower(law.rate * (phi - law.back * fixed), pace * (room - fixed))
     if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
         taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
     return higher(taken, splat(0.0))
@@ -70,18 +70,19 @@ def settle_row(
 ) -> None:
     """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start, `begun` fixed dye then."""
     held, fibre = begun.fixed, begun.fibre
-    law = Law(begun.kind, begun.first, begun.second, begun.rate)
+    law = Law(begun.kind, begun.first, begun.second, begun.rate, begun.back)
     for c in range(LEFT, LEFT + nx):
         mobile, bound, room = phi[row, c], fixed[row, c], fibre[row, c]
-        if not (mobile > 0.0 and room > bound):
+        if not (mobile > law.back * bound and room > bound):
             continue
         limit = min(limit_beside(law, mobile, room), room)
-        if not (limit > bound and pace * (limit - bound) < law.rate * mobile):
+        if not (limit > bound and pace * (limit - bound) < law.rate * (mobile - law.back * bound)):
             continue
         mean = 0.5 * (mobile + before[row, c])
         if mobile > floor[row, c]:
             limit = limit_within(law, mobile + bound, room)
-        most = min(min(limit, room), held[row, c] + law.rate * mean)
+        free = mean - (mean - held[row, c]) * math.exp(-law.rate) if law.back > 0.0 else held[row, c] + law.rate * mean
+        most = min(min(limit, room), free)
         taken = min(max(most - bound, 0.0), mobile)
         phi[row, c], fixed[row, c] = mobile - taken, bound + taken
 
@@ -105,7 +106,7 @@ def bound_row(phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Flo
     dt / s^2 (Legendre's polynomials), 5 % of it if fibre fills in the first half hour.
     """
     held, fibre = begun.fixed, begun.fibre
-    law = Law(begun.kind, begun.first, begun.second, begun.rate)
+    law = Law(begun.kind, begun.first, begun.second, begun.rate, begun.back)
     for c in range(LEFT, LEFT + nx):
         least, total = held[row, c], phi[row, c] + fixed[row, c]
         bound = min(max(fixed[row, c], least), max(fibre[row, c], least))

@@ -40,11 +40,11 @@ from nuno_schemas.plugin import Config
 #
 # with weights w, f the factor of the face's receiver, and A the fixed dye at phi:
 #
-#     A(phi) = max(A_0, min(V_d, A_d(phi), A_b + rho max(0, phi)))
+#     A(phi) = max(A_0, min(V_d, A_d(phi), max(A_b, (A_b + rho phi) / (1 + beta rho))))
 #
 # A_0 is fixed dye at the step's start (`least`), A_b at the stage's start (`fixed` of its Uptake), rho = D_ab dt / d^2:
-# within its limit fibre takes rho phi, and it releases none. A grows with phi, so that there is one root, and
-# trying the pieces of A finds it.
+# within its limit fibre takes rho (phi - beta A)^+, beta being 1 or 0 (`back`), and it releases none. A grows with phi,
+# so that there is one root, and trying the pieces of A finds it.
 
 ROUNDS = 40
 """The most Newton steps for Freundlich's limit; four or five suffice."""
@@ -56,8 +56,8 @@ BENDS = 60
 def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
     """Return A at mobile dye x."""
     initial, capacity, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
-    free = initial + rate * max(x, 0.0)
-    law = Law(uptake.kind, uptake.first, uptake.second, rate)
+    free = max(initial, (initial + rate * x) / (1.0 + uptake.back * rate))
+    law = Law(uptake.kind, uptake.first, uptake.second, rate, uptake.back)
     limit = min(limit_beside(law, max(x, 0.0), capacity), capacity)
     held: float = max(least, min(limit, free))
     return held
@@ -91,12 +91,15 @@ def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, a
     if uptake is None or uptake.fibre[at, c] <= least:
         return total / ways
     initial, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
-    law = Law(uptake.kind, uptake.first, uptake.second, rate)
+    law = Law(uptake.kind, uptake.first, uptake.second, rate, uptake.back)
+    back, share = uptake.back, 1.0 + uptake.back * rate
     x: float = total / ways
-    if x <= 0.0:
+    if x > back * initial:
+        x = (total + back * initial * rate / share) / (ways + rate / share)
+    elif x <= 0.0:
         return x
-    x = total / (ways + rate)
-    if min(limit_beside(law, x, room), room) >= initial + rate * x:
+    free = max(initial, (initial + rate * x) / share)
+    if min(limit_beside(law, x, room), room) >= free:
         return x
     total += initial
     x = (total - least) / ways

@@ -48,7 +48,7 @@ ROWS = 4 * SLOT
 class Rules(NamedTuple):
     """The limits of the cells in a step.
 
-    kind, first, second, rate  as in nuno_dye.laws.adsorption.Law
+    kind, first, second, rate, back  as in nuno_dye.laws.adsorption.Law
     pace                       rate at which a cell approaches its capacity, and fibre its limit
     kept                       whether any cell is maintained
 
@@ -60,6 +60,7 @@ class Rules(NamedTuple):
     first: float
     second: float
     rate: float
+    back: float
     pace: float
     kept: bool
 
@@ -130,7 +131,7 @@ def finish(
     held, bite = row + 3 * fibre.shape[0], row + fibre.shape[0]
     taken = fixed = splat(0.0)
     if rules.kind != NOTHING:
-        law = Law(rules.kind, rules.first, rules.second, rules.rate)
+        law = Law(rules.kind, rules.first, rules.second, rules.rate, rules.back)
         taken = taken_at(cells.phi, load(amounts, held + stage.here, c), load(fibre, row, c), law, rules.pace)
         rate = rate - taken
         fixed = advanced(amounts, slope, taken, held, bite, c, stage)
@@ -203,7 +204,7 @@ def open_row(
     a maintained cell; dye that fibre takes also frees capacity.
     """
     row, r, nothing = place.row, most.shape[0] // 2, splat(0.0)
-    law = Law(rules.kind, rules.first, rules.second, rules.rate)
+    law = Law(rules.kind, rules.first, rules.second, rules.rate, rules.back)
     slot, above = place.slots + SLOT * (row % 4), place.slots + SLOT * ((row - 1) % 4)
     for layer in range(2):
         previous, at, sign = splat(0.0), row + layer * r, 1.0 - 2.0 * layer

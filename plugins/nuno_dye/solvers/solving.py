@@ -145,9 +145,9 @@ def law_of(one: Dye, scale: float) -> Law:
     """Return a dye's law for kernels, `scale` being D0 dt / d^2. Freundlich's isotherm with exponent 1 is partition."""
     law = one.isotherm
     if law is None or not adsorbs(one):
-        return Law(NOTHING, 0.0, 0.0, 0.0)
+        return Law(NOTHING, 0.0, 0.0, 0.0, 0.0)
     kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS[law.kind]
-    return Law(kind, law.first, law.second, one.adsorption * scale)
+    return Law(kind, law.first, law.second, one.adsorption * scale, float(one.uptake == "difference"))
 
 
 def require_laws(system: DyeSystem) -> None:

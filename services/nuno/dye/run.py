@@ -73,7 +73,7 @@ class DyeRun(Stepper):
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (
             # D_ab / d^2 is a rate of yarn and liquor, whatever the size of the cells they are cut into.
-            Dye(one.name, one.D0, one.adsorption * self.cells.coarser**2, law, one.weisz_zollinger)
+            Dye(one.name, one.D0, one.adsorption * self.cells.coarser**2, law, one.weisz_zollinger, one.uptake)
             for one, law in zip(dye.dyes, laws, strict=True)
         )
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads, leave=self.leave)
