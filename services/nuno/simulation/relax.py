@@ -106,8 +106,10 @@ def damped(system: System, scene: Scene, frame: int, relaxation: Relaxation | No
     return system
 
 
-def unsettled(share: Float, state: State, pieces: list[Piece], free: int) -> str:
-    """Return the message for cloth that did not settle in its duration; share (n,) is each vertex's unbalance."""
+def unsettled(share: Float, state: State, pieces: list[Piece], free: int, solves: bool) -> str:
+    """Return the message for cloth that did not settle in its duration; share (n,) is each vertex's unbalance, and
+    `solves` says whether the solver solves its steps to a residual.
+    """
     vertex, beyond = int(np.argmax(share)), int((share > BALANCED).sum())
     piece = next(piece.name for piece in pieces if vertex < piece.stop)
     place = ", ".join(f"{value:.4g}" for value in state.x[vertex])
@@ -116,5 +118,5 @@ def unsettled(share: Float, state: State, pieces: list[Piece], free: int) -> str
         f"the cloth has not come to rest: {beyond:,} of {free:,} free vertices are farther from it than {BALANCED:g} "
         f"of the mean tension, the farthest, vertex {vertex} of {piece} at [{place}] m, by {share[vertex]:.3g}; the "
         f"fastest moves at {speed:.3g} m/s; lengthen the scene, for example --set duration=100s, or look for parts "
-        "that nothing holds"
+        "that nothing holds" + ("; or solve steps more exactly, --set solver.residual=1e-6" if solves else "")
     )

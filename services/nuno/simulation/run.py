@@ -290,7 +290,8 @@ class Simulation(Stepper):
         report = replace(report, unbalance=most, unsettled=beyond)
         if self.balanced or self.frame < self.loaded.scene.frames:
             return report
-        problem = unsettled(share, self.state, self.pieces, int((~self.fabric.pinned).sum()))
+        free, solves = int((~self.fabric.pinned).sum()), "residual" in type(self.solver.config).model_fields
+        problem = unsettled(share, self.state, self.pieces, free, solves)
         return replace(report, status="unconverged", message=problem)
 
     @property
