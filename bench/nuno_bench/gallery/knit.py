@@ -43,7 +43,9 @@ SIZE = (480, 640)
 COVERED = (240, 320)
 """Pixels of the picture whose share of yarn is measured."""
 WALES = 75
-"""Of a knit on a body whose lines are a pixel wide: of more they are thinner."""
+"""Of a knit on a body whose yarns have RADIUS and lines LINE: of more they are thinner."""
+LINE = 0.5
+"""Width of a straight link [pixels]."""
 RADIUS = 2.5e-4
 """Radius of the yarns of a knit with WALES wales on a body [m]."""
 PANEL: tuple[tuple[str, Colour], ...] = (
@@ -186,13 +188,11 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
 
 
 def _fine(loaded: Loaded, style: str) -> tuple[str, ...]:
-    """Yarns as much thinner than RADIUS as stitches are more than WALES; so are lines thinner than a pixel, which
-    would fill in.
-    """
+    """Yarns as much thinner than RADIUS as stitches are more than WALES, and lines than LINE: wider ones fill in."""
     wales = loaded.models[0].config.model_dump()["wales"]
     if style == "yarns":
         return (f"view.yarns.radius={RADIUS * WALES / wales:g}",)
-    return (f"view.yarns.width={WALES / wales:g}",) if style == "lines" and wales > WALES else ()
+    return (f"view.yarns.width={LINE * WALES / max(wales, WALES):g}",) if style == "lines" else ()
 
 
 class Knitted(NamedTuple):
