@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from nuno.simulation.run import Simulation
 from nuno.simulation.yarns import find_pressure, named_heights
 from nuno_kernels.forces.yarn_tension import lengths, link_tensions
 from nuno_knit.pressure import shares
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 COARSE = (
@@ -111,3 +113,14 @@ def test_its_pressure_hardly_depends_on_start_solver_and_friction(overrides: tup
     one, other = pressures(fit(*COARSE)), pressures(fit(*COARSE, *overrides))
     assert abs(other["ankle"] / one["ankle"] - 1.0) < 0.06
     assert all(abs(other[place] / one[place] - 1.0) < 0.03 for place in ("calf", "knee", "thigh"))
+
+
+def test_a_yarn_without_stiffness_is_named_by_its_line_and_field(tmp_path: Path) -> None:
+    lines = shipped.find("knit/stocking-support").read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if "name: support" in line)
+    lines[at] = "        - {name: support, density: 660 dtex}"
+    path = tmp_path / "soft.yaml"
+    path.write_text("\n".join(lines))
+    with pytest.raises(BadInput, match="give ea") as found:
+        scene_file.read(path)
+    assert f"soft.yaml:{at + 1}: objects[0].model.yarns[1]" in str(found.value)
