@@ -162,7 +162,7 @@ def find_hem(faces: Int, x: Float) -> Int:
 
 def _measure_skirt(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> dict[str, float]:
     """Of the hem, as cut and at each stage."""
-    heights = [line.height for one in loaded.operations for line in one.config.lines]
+    heights = [line["height"] for one in loaded.operations for line in one.config.model_dump()["lines"]]
     model = loaded.models[0].config.model_dump()
     faces, centre = Pieces(recording).at(0.0)[0].faces, np.array(model["centre"])
     found = {RIDGES: float(sum(height > 0.0 for height in heights)), CUT: 1e3 * model["hem_radius"]}
@@ -304,9 +304,9 @@ def _judge_shares(width: float, left: float, right: float) -> Finding:
 
 
 BY_CLOTH = (
-    "A line adds cloth, which is at rest as raised and cannot leave again: its wrinkle widens and sinks, and none "
-    "disappears. How wide it is when drawn, two triangles and their neighbours, hangs on the mesh, and so does by how "
-    "much it widens; the rule for new springs and friction change little. Lines on membranes are refused."
+    "A line adds cloth, which is at rest as raised and cannot leave again: its wrinkle widens and sinks. How wide it "
+    "is when drawn, two triangles and their neighbours, hangs on the mesh, and so does by how much it widens. The rule "
+    "for new springs and friction change little; stiff cloth fades most. Lines on membranes are refused."
 )
 OWN, FABRIC = "operations.0", "objects.0.model.fabric"
 LINES = range(20)
