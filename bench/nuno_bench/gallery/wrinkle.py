@@ -306,7 +306,7 @@ def _judge_shares(width: float, left: float, right: float) -> Finding:
 BY_CLOTH = (
     "A line adds cloth, which is at rest as raised and cannot leave again: its wrinkle widens and sinks. How wide it "
     "is when drawn, two triangles and their neighbours, hangs on the mesh, and so does by how much it widens. The rule "
-    "for new springs and friction change little; stiff cloth fades most. Lines on membranes are refused."
+    "for new springs and friction change little; stiff cloth, and soft springs, let both fade most, to no quarter."
 )
 OWN, FABRIC = "operations.0", "objects.0.model.fabric"
 LINES = range(20)
@@ -326,6 +326,7 @@ SHIRTS: Mapping[str, tuple[str, ...]] = {
     "kept": (f"{OWN}.keep=true",),
     "no friction": ("bodies.0.friction=0",),
     "stiff, 400 uN m": (f"{FABRIC}.hinge=4.0e-4",),
+    "soft, 6 N/m": (f"{FABRIC}.structural=6",),
     "a membrane, interlock": ("objects.0.model.fabric=interlock",),
 }
 """Variants of the shirt, and their overrides."""
