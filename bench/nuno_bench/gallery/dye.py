@@ -80,7 +80,7 @@ def run_scene(path: Path) -> ShownScene:
             label = "" if moments == (frames,) else f"after {run.time / 3600:g} h"
             pictures.append((label, _draw(painter, run)))
             if label:
-                grown[f"{DYED_SHARE} {label}"] = dyed_share(Dyed(cells, run.state.phi[0], run.state.fixed[0], 1))
+                grown[f"{RESISTED} {label}"] = resisted(Dyed(cells, run.state.phi[0], run.state.fixed[0], 1))
     if name in SEEN_FIXED:
         pictures.append((FIXED, _draw(painter, run, "fixed")))
     dyed = Dyed(cells, run.state.phi[0], run.state.fixed[0], _pitch(loaded))
@@ -110,7 +110,7 @@ def measures_of(name: str) -> Mapping[str, Callable[[Dyed], float]]:
             return {MOTTLE: mottle, STREAKS: streaks}
         case "9a" | "9b" | "9c":
             return {DYED_SHARE: dyed_share, FIXED_SHARE: fixed_share, RIM: rim}
-        case "11b" | "12":
+        case "11b":
             return {RESISTED: resisted}
         case "14-left" | "14-mid":
             return {FOLLOWS.format("photograph"): functools.partial(follows_yarns, cloth=undyed(PHOTOGRAPH))}
@@ -454,11 +454,9 @@ def judge_resist(m: Measures) -> Finding:
 
 
 def judge_waves(m: Measures) -> Finding:
-    grown = [value for what, value in m["fig12"].items() if what.startswith(f"{DYED_SHARE} after")]
-    share = m["fig12"][RESISTED]
-    shares = ", ".join(f"{one:.2f}" for one in grown)
-    text = f"share dyed {shares}; at the end waves hold {share:.1%} of the dye beside them"
-    return Finding(text, all(b > a for a, b in itertools.pairwise(grown)) and share < 0.25)
+    shares = [value for what, value in m["fig12"].items() if what.startswith(f"{RESISTED} after")]
+    text = f"{', '.join(f'{one:.1%}' for one in shares)} of the dye beside them"
+    return Finding(text, all(a > b for a, b in itertools.pairwise(shares)) and shares[-1] < 0.25)
 
 
 def judge_runs(m: Measures) -> Finding:
@@ -521,8 +519,8 @@ FIGURES = (
            reading="Lines are kept up, as the paper says. Their places, the fan and the steps are not printed: 20,000. "
            "The paste's edge bleeds by 0.1 mm."),
     Figure("12", "The pattern of waves comes out as the steps go on, since B is given by an image.",
-           "more cloth is dyed in each picture than in the one before, and in the end the waves hold less than a "
-           "quarter of the dye beside them", ("fig12",), judge_waves,
+           "the waves hold a smaller share of the dye beside them in each picture than in the one before, and in the "
+           "end less than a quarter", ("fig12",), judge_waves,
            reading="Lines are kept up, of which the paper says nothing: at 1.0 V they hold too little to dye the "
            "cloth. Waves take 95 % of the room, and bleed by 0.1 mm."),
     Figure("13", "(Various weaves and parameters, none of which is printed.)", "the scenes run, and keep their dye",
