@@ -358,6 +358,7 @@ SOURCES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("phi0 0.03", (FACTOR + "{phi0: 0.03, cap: 1}",)),
     ("phi0 0.05", (FACTOR + "{phi0: 0.05, cap: 1}",)),
     ("phi0 0.1", (FACTOR + "{phi0: 0.1, cap: 1}",)),
+    ("phi0 0.02, uptake by the difference", ("dye.dyes.0.uptake=difference",)),
     ("D0 P T, without the factor", (FACTOR + "null",)),
     ("without the factor, drop not kept up", (FACTOR + "null", "dye.cloth.supply.0.maintained=false")),
     ("without the factor, square of 20 mm",
@@ -382,7 +383,8 @@ def sweep_isotherms() -> Table:
     caption = (
         "phi0 / phi, 1 at most, is the factor of D in the paper's equation 4. As long as neither fills the square, the "
         "area dyed by Langmuir's is a half to four fifths of that by Freundlich's. Without the factor both fill it at "
-        "50,000 steps, unless the drop is put only once or the square is larger."
+        "50,000 steps, unless the drop is put only once or the square is larger. By the difference of mobile and fixed "
+        "dye fibre never holds more than is mobile, and the two hardly differ."
     )
     headings = ("reading", "steps", "dyed, Freundlich", "dyed, Langmuir", "rim, Freundlich", "rim, Langmuir", "holds")
     return Table(headings, rows, caption, prose=True)
@@ -504,10 +506,11 @@ FIGURES = (
            "it was put, since much is adsorbed at low concentration.",
            f"cloth with more than {DYED:g} of what a cell holds, of all dye and of fixed dye: (b) over half of the "
            "square and at its rim, (c) less than half, at most two thirds of (b), and not at its rim", SEEN_FIXED,
-           judge_isotherms, reading="Fibre takes D_ab phi until it holds V_d or A_d, as the paper's sentence on "
-           "one-way diffusion says. phi0 of equation 4 is not printed: 0.02; the factor phi0 / phi is 1 at most, since "
-           "D0 is that of water. Constants of the isotherms are not printed: k 0.5; k 0.15, b 0.1; K 200. Within its "
-           "edge Langmuir's cloth is the darkest, since its fibre is full.", sweep=sweep_isotherms),
+           judge_isotherms, reading="Fibre takes D_ab phi until it holds V_d or A_d (uptake: amount), as the "
+           "paper's sentence on one-way diffusion says. phi0 of equation 4 is not printed: 0.02; the factor phi0 / "
+           "phi is 1 at most, since D0 is that of water. Constants of the isotherms are not printed: k 0.5; k 0.15, "
+           "b 0.1; K 200. Within its edge Langmuir's cloth is the darkest, since its fibre is full.",
+           sweep=sweep_isotherms),
     *(
         Figure(f"10 ({letter})", f"On {weave} weave the mottle shows clearly, unlike that of the other weaves.",
                f"{MOTTLED}, and the dye alone follows {weave} weave better than the other two",
