@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import fsum
-from typing import Literal, Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest

@@ -1,9 +1,9 @@
 """Adsorption within a long step: a rate in each of its stages, and settled at its end.
 
-A stage takes D_ab / d^2 (phi - A) or D_ab / d^2 phi, but at most `pace` times the distance to the limit min(V_d, A_d(phi)), so that fixed
-dye reaches its limit within a few explicit steps. The stages damp those modes by at least half a step. The remaining
-distance to the limit is taken at the end: the A of a cell that holds S = phi + A satisfies A = A_d(S - A), or, if phi
-is maintained, A_d(phi). It is at most what D_ab allows in the step, at the mean phi.
+A stage takes D_ab / d^2 (phi - A) or D_ab / d^2 phi, but at most `pace` times the distance to the limit min(V_d,
+A_d(phi)), so that fixed dye reaches its limit within a few explicit steps. The stages damp those modes by at least
+half a step. The remaining distance to the limit is taken at the end: the A of a cell that holds S = phi + A satisfies
+A = A_d(S - A), or, if phi is maintained, A_d(phi). It is at most what D_ab allows in the step, at the mean phi.
 """
 
 from __future__ import annotations
