@@ -290,7 +290,7 @@ def test_a_gallery_says_first_how_long_it_takes_and_then_what_is_left(
         time.sleep(0.06)
         return ShownScene(path.stem, "")
 
-    kind = Gallery("t", "l", lambda: scenes, run_scene, (), "")
+    kind = Gallery("t", "l", lambda: scenes, run_scene, "")
     expected = iter((60.0, 120.0, 180.0))
     monkeypatch.setattr(gallery, "KINDS", {"knit": kind})
     monkeypatch.setattr(gallery, "run_seconds", lambda loaded: next(expected))

@@ -39,7 +39,7 @@ def use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
                 return ShownScene(path.stem, "A sheet.", pictures, {"value": value})
 
             figure = Figure("4", "It widens.", "more than 1", (path.stem,), judge, ("before", "after"), sweep=sweep)
-            made = Gallery(kind, "Lead.", lambda path=path: {path.stem: path}, run_scene, (), "m", figures=(figure,),
+            made = Gallery(kind, "Lead.", lambda path=path: {path.stem: path}, run_scene, "m", figures=(figure,),
                            alike=True)  # fmt: skip
             monkeypatch.setitem(gallery.KINDS, kind, made)
 

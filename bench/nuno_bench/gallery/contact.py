@@ -78,7 +78,6 @@ KIND = Gallery(
     lead="The scenes of cloth contact that come with nuno, most of them known from others' work.",
     scenes=partial(find_scenes, "contact"),
     run_scene=partial(show_scene, look=look),
-    differences=(),
     measures="Each scene as it is shipped, which is coarser than what was published. Steps are counted for each "
     "vertex.",
     table=table,

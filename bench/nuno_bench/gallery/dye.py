@@ -542,7 +542,6 @@ KIND = Gallery(
     "from the text too.",
     scenes=scenes,
     run_scene=run_scene,
-    differences=(),
     measures="What the criteria are measured by, and how far mobile and fixed dye are from what was supplied, at "
     "worst, as a share of it.",
     section=lambda name: f"Figure {figure_of(name)}",

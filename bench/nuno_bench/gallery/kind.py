@@ -117,26 +117,26 @@ class Gallery:
 
     scenes       their files by name, in the page's order
     run_scene    runs one to its end, or to where it fails; raises BadInput
-    differences  what must show
     measures     a sentence above what was measured
     table        of what was measured
     section      heading under which a scene's pictures stand, by its name
     apart        label of pictures that stand after the others of a section
     alike        whether the scenes take about as long, so that none is tried beforehand
     figures      of a paper; their scenes' pictures stand under them instead of under a section
+    differences  what must show
     """
 
     title: str
     lead: str
     scenes: Callable[[], dict[str, Path]]
     run_scene: Callable[[Path], ShownScene]
-    differences: Sequence[Difference]
     measures: str
     section: Callable[[str], str] = str
     apart: str = ""
     alike: bool = False
     table: Callable[[Sequence[ShownScene]], Table] = list_measured
     figures: Sequence[Figure] = ()
+    differences: Sequence[Difference] = ()
 
 
 Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapping[str, float]]]

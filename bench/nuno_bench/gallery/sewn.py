@@ -95,7 +95,6 @@ KIND = Gallery(
     lead="Garments that come with nuno as sewing patterns, sewn and put on the mannequin.",
     scenes=partial(find_scenes, "sewn"),
     run_scene=partial(show_scene, look=look),
-    differences=(),
     alike=True,
     measures=TOLD,
     table=table,

@@ -195,7 +195,6 @@ KIND = Gallery(
     "Kutta's method. Its figures 1 to 4 are diagrams of springs, bones and capsules.",
     scenes=lambda: {SCENE: shipped.find(SCENE)},
     run_scene=run_scene,
-    differences=(),
     measures="By points on every triangle, of the run by FB Euler.",
     figures=FIGURES,
     alike=True,

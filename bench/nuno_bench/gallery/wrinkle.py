@@ -402,7 +402,6 @@ KIND = Gallery(
     lead="Ridges and valleys drawn on cloth, at the stages of the wrinkle paper's figures 4 to 8.",
     scenes=scenes,
     run_scene=partial(show_scene, look=look, whole=True),
-    differences=(),
     figures=FIGURES,
     measures="Height: over the chord across the wrinkle, from cloth to cloth where nothing was smoothed. Width: along "
     "that chord, at half the height. Just drawn is as it is raised, before any step.",
