@@ -81,8 +81,13 @@ def roundness(x: Float, faces: Int) -> tuple[float, float]:
         return float(values[ascending][np.searchsorted(sums, SHARPER * sums[-1])])
 
     cosine = max(beyond(1.0 - 0.5 * size[convex] ** 2), FLAT)
-    thin = 0.5 * float(np.ptp(x, axis=0).min())
-    return min(beyond(way[convex] / size[convex] ** 2) * cosine, thin), cosine
+    return min(beyond(way[convex] / size[convex] ** 2) * cosine, thinness(x)), cosine
+
+
+def thinness(x: Float) -> float:
+    """Return half the extent [m] of a mesh's vertices x (n, 3) along the axis in which they vary least."""
+    away = x - x.mean(axis=0)
+    return 0.5 * float(np.ptp(away @ np.linalg.svd(away, full_matrices=False)[2][2]))
 
 
 def mesh_margins(spread: Float, x: Float, faces: Int) -> Float:
@@ -96,7 +101,7 @@ def check_margin(margin: float, geometry: Geometry) -> None:
     """Raise BadInput for a margin as thick as a limb: cloth would stand off like a hoop."""
     limbs = np.where(geometry.kind == CAPSULE, geometry.radius, np.inf)
     for primitive in np.flatnonzero(np.isin(geometry.kind, OF_TRIANGLES)).tolist():
-        limbs[primitive] = 0.5 * np.ptp(geometry.mesh(primitive)[0], axis=0).min()
+        limbs[primitive] = thinness(geometry.mesh(primitive)[0])
     if margin >= limbs.min(initial=np.inf):
         body = geometry.bodies[geometry.body[limbs.argmin()]]
         limit = f"less than the thinnest limb of {body}, {limbs.min():.4g} m"

@@ -33,6 +33,7 @@ MESHES = {
     "box": trimesh.creation.box((0.6, 0.4, 0.2)),
     "finer box": trimesh.creation.box((0.6, 0.4, 0.2)).subdivide_to_size(0.06),
     "plate": trimesh.creation.box((0.6, 0.6, 0.01)),
+    "turned plate": trimesh.creation.box((0.6, 0.6, 0.002), trimesh.transformations.euler_matrix(0.7, 0.4, 0.2)),
     "cone": trimesh.creation.cone(0.2, 0.6, sections=24),
 }
 
