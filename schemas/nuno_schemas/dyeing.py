@@ -269,6 +269,9 @@ class Dyestuff(Part):
                 "fibre that fixes dye needs an isotherm; add isotherm: {plugin: partition, k: 1}, or adsorption: 0"
             )
             raise PydanticCustomError("no_isotherm", problem, {"inside": ("adsorption",)})
+        if self.uptake == "amount" and not self.adsorption:
+            problem = "fibre that fixes no dye has no uptake; give adsorption and an isotherm, or leave uptake out"
+            raise PydanticCustomError("no_uptake", problem, {"inside": ("uptake",)})
         return self
 
 

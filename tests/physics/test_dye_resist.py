@@ -27,6 +27,7 @@ from nuno_dye.supplies.resist import (
     Shibori,
     combine,
     find_resist,
+    find_resists,
     read_image,
     stretch,
 )
@@ -79,6 +80,16 @@ def test_an_oblique_edge_of_paste_bleeds_as_it_diffuses(tmp_path: Path) -> None:
         inner = (slice(16, -16),) * 2
         assert np.abs(bled - exact)[inner].max() < 0.072 < 0.3 < np.abs(sharp - exact)[inner].max()
         assert bled.sum() == pytest.approx(sharp.sum(), rel=1e-3)
+
+
+def test_a_bleed_wider_than_the_cloth_is_refused(tmp_path: Path) -> None:
+    def paste(bleed: float) -> Paste:
+        return Paste(points=((0.0, 1e-3), (4e-3, 1e-3)), width=1e-3, bleed=bleed)
+
+    find_resists([paste(2e-3)], (20, 40), 1e-4, Folder(tmp_path))
+    with pytest.raises(BadInput, match="farther than the cloth") as refused:
+        find_resists([paste(0.0), paste(2.1e-3)], (20, 40), 1e-4, Folder(tmp_path))
+    assert refused.value.field == "resist[1].bleed" and "0.002 m" in str(refused.value.limit)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 4, 8, 16])

@@ -216,6 +216,8 @@ def test_an_automatic_step_is_stable(tmp_path: Path) -> None:
         ({"dyes": [BLUE | {"isotherm": {"plugin": "langmuire", "K": 2}}]}, "dye.dyes[0].isotherm.plugin", "langmuir"),
         ({"dyes": [BLUE | {"isotherm": {"plugin": "freundlich", "k": 1, "b": 0.05}}]}, "dye.dyes[0].isotherm.b", "0.1"),
         ({"dyes": [{"name": "blue", "D0": 1e-10, "adsorption": 1}]}, "dye.dyes[0].adsorption", "isotherm"),
+        ({"dyes": [{**BLUE, "adsorption": 0, "uptake": "amount"}]}, "dye.dyes[0].uptake", "no uptake"),
+        ({"dyes": [{"name": "blue", "D0": 1e-10, "uptake": "amount"}]}, "dye.dyes[0].uptake", "no uptake"),
         ({"dyes": [RED, RED]}, "dye.dyes[1].name", "used twice"),
         ({"dyes": [RED | {"D0": "1 mm/h"}]}, "dye.dyes[0].D0", "cannot be converted"),
         ({"dyes": []}, "dye.dyes", "too short"),

@@ -145,7 +145,13 @@ def blur(values: Float, spread: float) -> Float:
 def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:
     """Return B (ny, nx) of each resist. Raises BadInput, at `resist[i]` or in its file."""
     values = []
+    side = min(shape) * size
     for index, item in enumerate(items):
+        if item.bleed > side:
+            raise BadInput(
+                "edges run farther than the cloth reaches", field=f"resist[{index}].bleed", value=f"{item.bleed:g} m",
+                limit=f"the cloth's shorter side, {side:g} m", remedy="paste bleeds by tenths of a millimetre",
+            )  # fmt: skip
         try:
             values.append(find_resist(item, shape, size, files))
         except BadInput as error:
