@@ -29,7 +29,7 @@ def use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def use(sweep: Callable[[], Table] | None = None, **values: float) -> None:
         def judge(measured: Measures) -> Finding:
             value = next(iter(measured.values()))["value"]
-            return Finding(f"{value:g}", value > 1.0, "" if value > 1.0 else "the hem is too stiff")
+            return Finding(f"{value:g}", value > 1.0, "the hem is too stiff")
 
         for kind, value in values.items():
             path = write_scene(tmp_path).rename(tmp_path / f"{kind}-scene.yaml")
@@ -69,6 +69,15 @@ def test_a_picture_stands_under_the_first_of_its_figures(use: Callable[..., None
     _, text = show(tmp_path, "knit")
     first, second = text.split("<h2>Figure 4</h2>")[1].split("<h2>Figure 5</h2>")
     assert (first.count("data:image/png"), second.count("data:image/png")) == (2, 1)
+
+
+def test_a_picture_stands_under_a_later_figure_that_names_it(use: Callable[..., None], tmp_path: Path) -> None:
+    use(knit=2.0)
+    kind = gallery.KINDS["knit"]
+    gallery.KINDS["knit"] = replace(kind, figures=(replace(kind.figures[0], number="3", labels=()), *kind.figures))
+    _, text = show(tmp_path, "knit")
+    first, second = text.split("<h2>Figure 3</h2>")[1].split("<h2>Figure 4</h2>")
+    assert (first.count("data:image/png"), second.count("data:image/png")) == (1, 2)
 
 
 def test_all_papers_are_on_one_page(use: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

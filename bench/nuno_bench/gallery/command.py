@@ -24,6 +24,7 @@ from nuno_bench.gallery import contact, dye, knit, sewn, skirt, wrinkle
 from nuno_bench.gallery.kind import (
     DIFFERENCE_HEADINGS,
     EFFECT,
+    Figure,
     Gallery,
     ShownScene,
     Verdict,
@@ -207,27 +208,31 @@ def figure_rows(verdicts: Sequence[Verdict]) -> list[list[str]]:
 def figure_sections(kind: Gallery, found: Judged) -> list[tuple[str, list[page.Part]]]:
     """A section a figure: what the paper says, our pictures, criterion, value and verdict, readings and sweep.
 
-    A picture stands under the first figure that it belongs to.
+    The reading of a figure that is not reproduced is followed by why.
     """
-    sections, drawn = list[tuple[str, list[page.Part]]](), set[tuple[str, str]]()
+    sections, figures = list[tuple[str, list[page.Part]]](), [one.figure for one in found.verdicts]
     for one in found.verdicts:
-        own = []
-        for scene in found.shown:
-            kept = [
-                (label, picture)
-                for label, picture in scene.pictures
-                if scene.name in one.figure.scenes
-                and (not one.figure.labels or label.startswith(one.figure.labels))
-                and (scene.name, label) not in drawn
-            ]
-            drawn |= {(scene.name, label) for label, _ in kept}
-            own.append(replace(scene, pictures=kept))
+        own = [
+            replace(
+                scene, pictures=[each for each in scene.pictures if _home(scene.name, each[0], figures) is one.figure]
+            )
+            for scene in found.shown
+        ]
         judged = page.Table(("criterion", "here", "verdict"), [[one.figure.criterion, one.finding.value, one.word]],
                             prose=True)  # fmt: skip
         parts: list[page.Part] = [f"The paper: {one.figure.sentence}", page.Pictures(_pictures(kind, own)), judged]
-        texts = [f"Reading: {one.figure.reading}" if one.figure.reading else "", one.finding.why]
+        texts = [f"Reading: {one.figure.reading}" if one.figure.reading else "",
+                 "" if one.finding.holds else one.finding.why]  # fmt: skip
         sections.append((f"Figure {one.figure.number}", [*parts, *texts, *([one.swept] if one.swept else [])]))
     return sections
+
+
+def _home(scene: str, label: str, figures: Sequence[Figure]) -> Figure | None:
+    """The figure that a picture stands under: of those that take it the first that names its label, else the first
+    whose own scene it shows, else the first.
+    """
+    fitting = [one for one in figures if scene in one.scenes and (not one.labels or label.startswith(one.labels))]
+    return min(fitting, key=lambda one: (not one.labels, one.scenes[0] != scene), default=None)
 
 
 def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
