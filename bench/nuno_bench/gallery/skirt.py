@@ -33,6 +33,7 @@ from nuno_bench.integrators import (
     setting_overrides,
 )
 from nuno_bench.report.page import Table, number
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import PENETRATION
 from nuno_schemas.pictures import Picture
 
@@ -69,13 +70,17 @@ def cells() -> tuple[Cell, ...]:
 
 
 def run_scene(path: Path) -> ShownScene:
-    """Run the paper's experiment by each of its methods. Raises BadInput and RunFailed."""
-    pictures, area = list[tuple[str, Picture]](), 0.0
+    """Run the paper's experiment by each of its methods, or to the first that fails. Raises BadInput."""
+    description, pictures, area = scene_file.read(path).scene.description, list[tuple[str, Picture]](), 0.0
     for variant in VARIANTS:
-        found, inside = draw_variant(path, variant)
+        try:
+            found, inside = draw_variant(path, variant)
+        except RunFailed as error:
+            why = str(error).partition("; recording kept in ")[0]
+            return ShownScene(SCENE, description, pictures, failed=f"{variant.label}: {why}")
         pictures += found
         area = inside if variant.label.startswith("figure 6") else area
-    return ShownScene(SCENE, scene_file.read(path).scene.description, pictures, {AREA: 1e4 * area})
+    return ShownScene(SCENE, description, pictures, {AREA: 1e4 * area})
 
 
 def draw_variant(path: Path, variant: Variant) -> tuple[list[tuple[str, Picture]], float]:
