@@ -82,19 +82,21 @@ def gallery_command(args: argparse.Namespace) -> int:
 def show_papers(args: argparse.Namespace, section: str) -> int:
     """Run the scenes of all papers' figures, and write one page; return the exit code."""
     others = machine.OtherLoad()
-    wanted = {name: choose(KINDS[name], None) for name in PAPERS}
+    used = {name: {scene for figure in KINDS[name].figures for scene in figure.scenes} for name in PAPERS}
+    wanted = {name: [path for scene, path in KINDS[name].scenes().items() if scene in used[name]] for name in PAPERS}
     if args.scenes is not None:
         names, every = options.names_of(args.scenes), {path.stem for paths in wanted.values() for path in paths}
         options.require_known(names, every, "scene", "--scenes")
-        wanted = {kind: [path for path in paths if path.stem in names] for kind, paths in wanted.items()}
+        wanted = {name: [path for path in paths if path.stem in names] for name, paths in wanted.items()}
     sections, rows, stands = list[tuple[str, Sequence[page.Part]]](), list[list[str]](), True
     for name, paths in wanted.items():
         if paths:
-            found = judge(KINDS[name], run_scenes(KINDS[name], paths))
+            kind = replace(KINDS[name], differences=())
+            found = judge(kind, run_scenes(kind, paths))
             stands = stands and found.stands
             of = f"{PAPERS[name].capitalize()} paper"
             rows += [[f"{PAPERS[name]}, {row[0]}", *row[1:]] for row in figure_rows(found.verdicts)]
-            sections += [(f"{of}: {heading}", parts) for heading, parts in figure_sections(KINDS[name], found)]
+            sections += [(f"{of}: {heading}", parts) for heading, parts in figure_sections(kind, found)]
             sections.append((f"{of}: failed", [failures(found)]))
     table = page.Table(FIGURE_HEADINGS, rows, prose=True)
     lead = "What each figure of the four papers says, and whether it can be seen here."

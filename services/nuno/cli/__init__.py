@@ -42,7 +42,7 @@ COMMANDS = {
     "validate": ("nuno_bench.validation.command", "the laws of physics, held against every installed solver"),
     "gallery": (
         "nuno_bench.gallery.command",
-        "one page with pictures of all scenes of a kind: contact, dye, knit, sewn, wrinkle; or papers",
+        "one page with pictures of all scenes of a kind: contact, dye, knit, sewn, skirt, wrinkle; or papers",
     ),
     "plugins": ("nuno.cli.installation", "which plugins are installed"),
     "scenes": ("nuno.cli.installation", "the scenes that come with nuno"),
