@@ -336,6 +336,8 @@ def test_numbers_that_are_what_they_look_like_are_read(text: str, value: object)
 
 def test_a_colour_in_an_override_is_no_comment() -> None:
     assert yaml_lines.parse_value("#1e1715") == "#1e1715"
+    assert yaml_lines.parse_value("[#aaa,#1e1715, #fff]") == ["#aaa", "#1e1715", "#fff"]
+    assert yaml_lines.parse_value("{a: #aaa, b: [#000]}") == {"a": "#aaa", "b": ["#000"]}
 
 
 @pytest.mark.parametrize(("text", "value"), [("010", 8), ("-017", -15), ("1:30", 90), ("1:30.5", 90.5)])

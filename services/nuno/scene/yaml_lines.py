@@ -189,9 +189,11 @@ def _require_shallow(text: str, file: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse the value of a YAML text; one that begins with # is a colour, no comment. Raises BadInput."""
+    """Parse the value of a YAML text; a colour #rgb, alone or in a list, is no comment. Raises BadInput."""
     if text.startswith("#"):
         return text
+    if text.startswith(("[", "{")) and not {"'", '"'} & set(text):
+        text = re.sub(r"(?<=[\[,\s])#[0-9A-Fa-f]{3,8}(?=[\],}\s])", r"'\g<0>'", text)
     try:
         node = _compose(text, "")
     except BadInput:

@@ -29,6 +29,8 @@ the last time [s] is averaged out: contact of taut cloth oscillates by a tenth o
 between two of its forces, and moves nothing."""
 BALANCED = 1e-3
 """Cloth is balanced where no vertex has a larger unbalanced force than this share of the springs' mean tension."""
+EXACT = 1e-6
+"""Residual of a solver's steps beyond which cloth that does not settle may need more exact ones."""
 
 
 class Stillness:
@@ -106,9 +108,9 @@ def damped(system: System, scene: Scene, frame: int, relaxation: Relaxation | No
     return system
 
 
-def unsettled(share: Float, state: State, pieces: list[Piece], free: int, solves: bool) -> str:
+def unsettled(share: Float, state: State, pieces: list[Piece], free: int, loose: bool) -> str:
     """Return the message for cloth that did not settle in its duration; share (n,) is each vertex's unbalance, and
-    `solves` says whether the solver solves its steps to a residual.
+    `loose` says whether the solver solves its steps to a residual above EXACT.
     """
     vertex, beyond = int(np.argmax(share)), int((share > BALANCED).sum())
     piece = next(piece.name for piece in pieces if vertex < piece.stop)
@@ -118,5 +120,5 @@ def unsettled(share: Float, state: State, pieces: list[Piece], free: int, solves
         f"the cloth has not come to rest: {beyond:,} of {free:,} free vertices are farther from it than {BALANCED:g} "
         f"of the mean tension, the farthest, vertex {vertex} of {piece} at [{place}] m, by {share[vertex]:.3g}; the "
         f"fastest moves at {speed:.3g} m/s; lengthen the scene, for example --set duration=100s, or look for parts "
-        "that nothing holds" + ("; or solve steps more exactly, --set solver.residual=1e-6" if solves else "")
+        "that nothing holds" + (f"; or solve steps more exactly, --set solver.residual={EXACT:g}" if loose else "")
     )

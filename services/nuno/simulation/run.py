@@ -32,7 +32,7 @@ from nuno.simulation.cloth import build_fabric, join_fabrics
 from nuno.simulation.costs import Costs, FrameStart, Stage
 from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
 from nuno.simulation.operations import carry, fabric_arrays, fabric_from, frames_bound, parse
-from nuno.simulation.relax import BALANCED, REST_SPEED, Relaxation, Stillness, damped, unsettled
+from nuno.simulation.relax import BALANCED, EXACT, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.simulation.renumbering import (
     RenumberedSolver,
     find_numbers,
@@ -290,8 +290,8 @@ class Simulation(Stepper):
         report = replace(report, unbalance=most, unsettled=beyond)
         if self.balanced or self.frame < self.loaded.scene.frames:
             return report
-        free, solves = int((~self.fabric.pinned).sum()), "residual" in type(self.solver.config).model_fields
-        problem = unsettled(share, self.state, self.pieces, free, solves)
+        free, loose = int((~self.fabric.pinned).sum()), getattr(self.solver.config, "residual", 0.0) > EXACT
+        problem = unsettled(share, self.state, self.pieces, free, loose)
         return replace(report, status="unconverged", message=problem)
 
     @property
