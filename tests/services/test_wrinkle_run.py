@@ -23,15 +23,23 @@ from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 from nuno_bench.gallery.wrinkle import (
     BEFORE_TURN,
+    BLOOM,
+    DEPTH,
     FIGURES,
     KEPT,
+    LOBES,
+    RADIUS,
+    RIDGES,
     SHIRT,
     STAGES,
+    STANDING,
+    TURNING,
     WIDTH,
     Drawn,
     find_hem,
     measure_hem,
 )
+from nuno_bench.gallery.wrinkle import CUT as CUT_RADIUS
 from nuno_contact.offset.contact_state import CUT
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float, Int
@@ -374,6 +382,19 @@ def test_a_wavy_hem_has_its_lobes_and_their_amplitude(lobes: int) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.parametrize(("amplitude", "holds"), [(1e-5, False), (9e-3, True)])
+def test_a_bare_cone_is_no_bloom_skirt_though_its_largest_harmonic_be_the_ridges(amplitude: float, holds: bool) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    measured = {RIDGES: 10.0, CUT_RADIUS: 240.0, RADIUS.format(STAGES[1]): 240.0}
+    for stage, radius in ((STANDING, 0.25), (TURNING, 0.28)):
+        r = radius + amplitude * np.cos(10.0 * angle)
+        hem = measure_hem(np.stack([r * np.cos(angle), 0.0 * r, r * np.sin(angle)], axis=1), np.zeros(3))
+        measured |= {RADIUS.format(stage): 1e3 * hem.radius, LOBES.format(stage): float(hem.lobes),
+                     DEPTH.format(stage): 1e3 * hem.amplitude}  # fmt: skip
+    judges = [figure.judge for figure in FIGURES if figure.number in ("5", "6")]
+    assert [judge({BLOOM: measured}).holds for judge in judges] == [holds, holds]
+
+
 def test_a_bloom_skirt_stands_as_wide_as_it_was_cut_in_as_many_lobes_as_ridges_were_drawn() -> None:
     simulation = Simulation.with_bodies(scene_file.read(shipped.find("bloom-skirt")), 1)
     hem = find_hem(simulation.fabric.faces, simulation.state.x)
