@@ -1,4 +1,4 @@
-"""No shipped scene has cloth inside bodies: in no frame, by the report's measure and by tests of triangles."""
+"""In no shipped scene's first 360 frames is cloth inside bodies, by the report's measure and tests of triangles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from nuno.collision.distance import measure_inside
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
 
-SCENES = {
-    name: path for name, path in shipped.scenes("", "contact", "sewn", "extreme").items()
-    if (scene := scene_file.read(path).scene).bodies and scene.moves
-}  # fmt: skip
+SCENES = shipped.scenes("", "contact", "sewn", "extreme")
 LONGEST = 360
 """Frames of a scene that are looked at: `hand` goes round for 6000."""
 EVERY = 5
@@ -22,7 +19,10 @@ EVERY = 5
 @pytest.mark.full
 @pytest.mark.parametrize("name", SCENES)
 def test_no_cloth_is_inside_bodies_in_any_frame(name: str) -> None:
-    simulation = Simulation.with_bodies(scene_file.read(SCENES[name]), threads=1)
+    loaded = scene_file.read(SCENES[name])
+    if not (loaded.scene.bodies and loaded.scene.moves):
+        pytest.skip("no bodies, or nothing moves")
+    simulation = Simulation.with_bodies(loaded, threads=1)
     geometry = simulation.geometry
     found: dict[int, tuple[float, int]] = {}
     while not simulation.finished and simulation.frame < LONGEST:
