@@ -188,7 +188,7 @@ def _measure_circle(recording: Recording, frames: dict[str, Frame], loaded: Load
     assert uv is not None
     circle = np.array(next(line["texture"] for one in _operations(loaded) for line in one["lines"] if line["closed"]))
     away = np.linalg.norm(uv[crests[0]] - circle.mean(axis=0), axis=1) < 1.25 * np.ptp(circle, axis=0).max() / 2.0
-    found = {}
+    found: dict[str, float] = {}
     for stage, places in ((STAGES[1], x), (STAGES[3], frames[STAGES[3]].x.astype(np.float64))):
         heights = np.array([_across(places, faces, crest)[0] for crest in crests[:, away].T])
         low, high = np.percentile(heights, (10, 90))
