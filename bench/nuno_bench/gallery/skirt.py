@@ -157,7 +157,7 @@ NOT_BONES = (
     "exact; what a person's shape loses by them is the difference of their radii."
 )
 NOT_RUNGE_KUTTA = (
-    "A vertex at rest sinks by m g / k under any method, and in an impact the depth is that of the same contact spring. "
+    "A vertex at rest sinks by m g / k under any method, and in an impact the depth is that of the same spring. "
     "By the formulas as they are printed, with damping frozen at the step's start, cloth sinks in deeper at some "
     "settings, as the table says: that may be what the paper saw."
 )
