@@ -19,7 +19,7 @@ from nuno.cli import main
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno_bench import stability
-from nuno_bench.integrators import SERIES, SPLIT, Trace, compare_with_paper, report, run_variant
+from nuno_bench.integrators import SERIES, SPLIT, WHOLE, Cell, Setting, Trace, compare_with_paper, report, run_variant
 from nuno_bench.problem import Series
 from nuno_bench.stability import (
     MapPoint,
@@ -327,7 +327,9 @@ def test_files_hold_every_frame(tmp_path: Path) -> None:
     traces = [trace("symplectic_euler"), trace("euler", grow=1e6), trace("euler", split=False, grow=1e6)]
     traces += [trace("symplectic_euler", split=False)]
     found = compare_with_paper(traces)
-    report("small", traces, {"command": "nuno"}).write_beside(tmp_path / "out" / "small")
+    runs = {name: trace("symplectic_euler") for name in ("symplectic_euler", "euler", "rk4", "rk4_printed", WHOLE)}
+    cells = [Cell(Setting(1.0, 0.5, 1.0, 2e-3), runs)]
+    report("small", traces, cells, {"command": "nuno"}).write_beside(tmp_path / "out" / "small")
     with (tmp_path / "out" / "small.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 4 * 11
@@ -339,5 +341,5 @@ def test_files_hold_every_frame(tmp_path: Path) -> None:
         (one.integrator, one.split) for one in traces
     ]
     said = unescape((tmp_path / "out" / "small.html").read_text())
-    assert said.count("<svg") == 2
+    assert said.count("<svg") == 3
     assert all(one.seen in said for one in found)
