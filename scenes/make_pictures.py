@@ -17,7 +17,7 @@ from pathlib import Path
 from PIL import Image
 
 import nuno
-from nuno.scene import files as shipped
+from nuno.scene import shipped
 from nuno_schemas.errors import BadInput, RunFailed
 
 FOLDER = Path(__file__).with_name("pictures")
