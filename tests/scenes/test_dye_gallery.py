@@ -104,6 +104,7 @@ def test_streaks_and_mottle_are_those_that_were_drawn() -> None:
     assert mottle(cloth(chequered)) == pytest.approx(0.05 * 8.0 / 9.0, rel=1e-6)
 
 
+@pytest.mark.full
 def test_the_page_holds_every_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     module, parser = parser_of("gallery")
     assert module is gallery

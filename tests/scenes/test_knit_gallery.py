@@ -39,6 +39,7 @@ def show(folder: Path, *words: str) -> tuple[int, str]:
     return code, (folder / "knit.html").read_text()
 
 
+@pytest.mark.full
 def test_the_stitches_show_what_they_must(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, text = show(tmp_path, "--scenes", "stitch-stretch-course,stitch-stretch-wale")
     assert code == 0 and text.count("data:image/png;base64,") == 4
@@ -47,6 +48,7 @@ def test_the_stitches_show_what_they_must(tmp_path: Path, capsys: pytest.Capture
     assert "stiff yarn stretches less" in capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_the_direction_comes_from_the_contrast_of_stiffness() -> None:
     """Figure 9's zigzag stays without continuity, and vanishes with one stiffness."""
     wales = {(ratio, mu): zigzag(run_panel("stitch-stretch-course", ratio, mu)) for ratio, mu in ((10, 0), (1, 0.2))}
