@@ -39,8 +39,8 @@ FLAT = 1e-6
 
 @kernel
 def round_margin(spread: float, radius: float, cosine: float) -> float:
-    """Return the margin [m] of a vertex whose triangles have the spread S [m^2] from a body of which balls of at most
-    `radius` [m] are a part, and such of that over `cosine` cover it.
+    """Return the margin [m] of a vertex whose triangles have the spread S [m^2]. The body contains balls of any radius
+    up to `radius` [m], and balls of that radius over `cosine` about the same middles cover it.
     """
     if cosine < 1.0:
         radius = min(radius, cosine * cosine * math.sqrt(spread / (1.0 - cosine * cosine)))

@@ -13,7 +13,7 @@ SCENES = shipped.scenes("", "contact", "sewn", "extreme")
 LONGEST = 360
 """Frames of a scene that are looked at: `hand` goes round for 6000."""
 EVERY = 5
-"""Frames of which one is looked at by tests of triangles, too: they take longer than the frames."""
+"""Every so many frames the triangles are tested, too, which takes longer than the frames."""
 
 
 @pytest.mark.full

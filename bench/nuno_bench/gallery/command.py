@@ -210,9 +210,11 @@ def figure_rows(verdicts: Sequence[Verdict]) -> list[list[str]]:
 def figure_sections(kind: Gallery, found: Judged) -> list[tuple[str, list[page.Part]]]:
     """A section a figure: what the paper says, our pictures, criterion, value and verdict, readings and sweep.
 
-    The reading of a figure that is not reproduced is followed by why.
+    The reading of a figure that is not reproduced is followed by why. A table that several share stands under the
+    first.
     """
     sections, figures = list[tuple[str, list[page.Part]]](), [one.figure for one in found.verdicts]
+    above: dict[int, str] = {}
     for one in found.verdicts:
         own = [
             replace(
@@ -223,9 +225,12 @@ def figure_sections(kind: Gallery, found: Judged) -> list[tuple[str, list[page.P
         judged = page.Table(("criterion", "here", "verdict"), [[one.figure.criterion, one.finding.value, one.word]],
                             prose=True)  # fmt: skip
         parts: list[page.Part] = [f"The paper: {one.figure.sentence}", page.Pictures(_pictures(kind, own)), judged]
-        texts = [f"Reading: {one.figure.reading}" if one.figure.reading else "",
+        texts: list[page.Part] = [f"Reading: {one.figure.reading}" if one.figure.reading else "",
                  "" if one.finding.holds else one.finding.why]  # fmt: skip
-        sections.append((f"Figure {one.figure.number}", [*parts, *texts, *([one.swept] if one.swept else [])]))
+        if one.swept is not None:
+            first = above.setdefault(id(one.swept), one.figure.number)
+            texts.append(one.swept if first == one.figure.number else f"The table stands under figure {first}.")
+        sections.append((f"Figure {one.figure.number}", [*parts, *texts]))
     return sections
 
 

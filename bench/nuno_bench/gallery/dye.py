@@ -176,10 +176,10 @@ def dyed_share(dyed: Dyed) -> float:
 def fixed_share(dyed: Dyed) -> float:
     """The same of what fibre has fixed, of the part that shows fibre."""
     fibre = np.where(dyed.cells.up[1], dyed.cells.fibre[1], dyed.cells.fibre[0])
-    return dyed_share(replace_phi(dyed)) / float(fibre.mean())
+    return dyed_share(drop_mobile(dyed)) / float(fibre.mean())
 
 
-def replace_phi(dyed: Dyed) -> Dyed:
+def drop_mobile(dyed: Dyed) -> Dyed:
     """The cloth without its mobile dye."""
     return dyed._replace(phi=np.zeros_like(dyed.phi))
 
@@ -191,7 +191,7 @@ def rim(dyed: Dyed) -> float:
 
 
 def resisted(dyed: Dyed) -> float:
-    """Mean dye of cells of which resist takes over a half, over that of cells of which it takes less than a tenth."""
+    """Mean dye where resist takes over half of a cell, over that where it takes less than a tenth."""
     total, taken = (dyed.phi + dyed.fixed)[dyed.cells.fibre], dyed.cells.resist[dyed.cells.fibre]
     return float(total[taken > 0.5].mean() / total[taken < 0.1].mean())
 
@@ -545,7 +545,7 @@ FIGURES = (
     Figure("12", "The pattern of waves comes out as the steps go on, since B is given by an image.",
            "the waves hold a smaller share of the dye beside them in each picture than in the one before, and in the "
            "end less than a quarter", ("fig12",), judge_waves,
-           reading="Lines are kept up, of which the paper says nothing: at 1.0 V they hold too little to dye the "
+           reading="Lines are kept up, though the paper does not say so: at 1.0 V they hold too little to dye the "
            "cloth. Waves take 95 % of the room, and bleed by 0.1 mm."),
     Figure("13", "(No sentence: various weaves and parameters, none of which is printed.)",
            "none of the paper; the scenes run, and keep their dye",
@@ -554,7 +554,7 @@ FIGURES = (
            "agree (middle), it looks more natural.",
            "the dye's correlation with the yarns that the photograph shows is over 0.4, and left less than half of it",
            ("fig14-left", "fig14-mid"), judge_photograph,
-           reading="The photograph is ours. The drop is kept up, of which the paper says nothing; its steps are not "
+           reading="The photograph is ours. The drop is kept up, though the paper does not say so; its steps are not "
            "printed: 5,000."),
 )  # fmt: skip
 

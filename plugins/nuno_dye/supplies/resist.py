@@ -6,7 +6,6 @@ clamps and stitches on folded cloth. Several multiply the capacity that each lea
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -124,22 +123,12 @@ def find_resist(resist: AnyResist, shape: tuple[int, int], size: float, files: F
             half = 0.5 * resist.width
             distance = np.minimum(find_distance(resist.points, half, *find_middles(shape, size)), half)
             values = np.sqrt(1.0 - (distance / half) ** 2)
-    return resist.strength * blur(values, resist.bleed / size)
+    if resist.bleed > 0.0:
+        from scipy.ndimage import gaussian_filter  # its import takes a while, and is not always needed
 
-
-def blur(values: Float, spread: float) -> Float:
-    """Return values (ny, nx) after they diffused, sealed at the rims, to a Gaussian of standard deviation `spread`
-    [cells], cut off at 4 of it. An edge becomes 1/2 erfc(x / (sqrt(2) spread)).
-    """
-    reach = math.ceil(4.0 * spread)
-    if not reach:
-        return values
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / spread) ** 2)
-    weights /= weights.sum()
-    for _ in range(2):
-        wide = np.pad(values, ((reach, reach), (0, 0)), mode="symmetric")
-        values = sum(weight * wide[i : i + len(values)] for i, weight in enumerate(weights)).T
-    return np.clip(values, 0.0, 1.0)
+        # What diffuses in cloth that is sealed at its rims: an edge becomes 1/2 erfc(x / (sqrt(2) bleed)).
+        values = np.clip(gaussian_filter(values, resist.bleed / size, mode="reflect"), 0.0, 1.0)
+    return resist.strength * values
 
 
 def find_resists(items: Sequence[Resist], shape: tuple[int, int], size: float, files: Files) -> tuple[Float, ...]:

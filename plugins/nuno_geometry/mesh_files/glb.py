@@ -151,7 +151,7 @@ def _shown(document: Any) -> list[int]:
     waiting, found = list(roots), set[int]()
     while waiting:
         node = waiting.pop()
-        if node not in found | hidden:
+        if node not in found and node not in hidden:
             found.add(node)
             waiting += nodes[node].get("children", ())
     return sorted(found)

@@ -119,7 +119,7 @@ def _mesh(path: Path) -> Seen:
     only = next(iter(fits)) if len(fits) == 1 else "1m"
     # A mesh of a plausible size in metres may be a ball as well as a person.
     unit = "1m" if SMALLEST <= longest <= LARGEST else person if person != "1m" else only
-    scaled = shape if unit == "1m" else build_body(path, unit)[0]  # remarks name places in metres
+    scaled = shape if unit == "1m" else build_body(path, unit)[0] or shape  # remarks name places in metres
     notes = scaled.notes if scaled else ()
     size = np.ptp(x, axis=0) * UNITS[unit]
     low, high = (UNITS[unit] * side for side in (x.min(axis=0), x.max(axis=0)))
