@@ -16,9 +16,11 @@ from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.scene.files import SceneFiles
 from nuno.simulation.cloth import Piece
+from nuno.simulation.costs import Costs
 from nuno.simulation.renumbering import RenumberedSolver, find_numbers, renumber
 from nuno.simulation.run import Simulation
 from nuno.simulation.yarns import structural_edges
+from nuno_bench.gallery.wrinkle import NAMES as WRINKLES
 from nuno_bench.machine import cores
 from nuno_bench.peers import python
 from nuno_bench.peers.problem import REFERENCE, SCENE, SECONDS, judge
@@ -303,7 +305,8 @@ def stiffness(repeats: int) -> list[Result]:
     return results
 
 
-# Lines drawn on cloth of 20,000 triangles while it moves: no longer than a frame is shown, and nothing compiled.
+# Lines drawn on cloth of 20,000 triangles while it moves: no longer than a frame is shown, and nothing compiled. The
+# wrinkle paper's own scenes, at sizes of ours: the paper prints none.
 
 HUNG = "hung-cloth-wrinkle"
 A_FRAME = 1000.0 / 60.0
@@ -315,11 +318,15 @@ DRAWN = {
     "one that is kept": (SMALL, "true"),
 }
 """Place of each line on the cloth, and whether it is kept."""
+FOLLOWED = 30
+"""Frames of a sample of the paper's scenes, once their lines are drawn."""
 
 
 def wrinkle(repeats: int) -> list[Result]:
-    """The mesh work of a line [ms], and functions compiled from its first frame on, without and with `keep`."""
-    results = []
+    """The speed of the paper's scenes, and what takes their time; the mesh work of a line [ms], and functions compiled
+    from its first frame on, without and with `keep`.
+    """
+    results = [result for name in WRINKLES for result in _follow_lines(name, repeats)]
     for name, (texture, keep) in DRAWN.items():
         line = f"{{height: 1 cm, texture: {texture}}}"
         drawn = f"operations=[{{plugin: wrinkle, at: 50 ms, lines: [{line}], keep: {keep}}}]"
@@ -342,6 +349,26 @@ def wrinkle(repeats: int) -> list[Result]:
             Result("wrinkle", f"{name}: compiled during the run", "functions", number, bar=0.0, at_most=True),
         ]
     return results
+
+
+def _follow_lines(name: str, repeats: int) -> list[Result]:
+    """The speed of a scene after its lines are drawn, over real time, and the share of each part of its steps."""
+    simulation, seconds = Simulation.with_bodies(scene_file.read(shipped.find(name)), cores()), list[float]()
+    while simulation.applied < len(simulation.loaded.operations):
+        simulation.step()
+    simulation.step()
+    lists, simulation.costs = simulation.costs.lists, Costs()
+    simulation.costs.begin(lists)
+    for _ in range(repeats):
+        seconds.append(sum(simulation.step().report.seconds["steps"] for _ in range(FOLLOWED)))
+    shares, shown = simulation.divide(sum(seconds)), FOLLOWED / simulation.loaded.scene.frame_rate
+    size = f"{simulation.fabric.number:,} vertices, {simulation.steps} steps a frame"
+    speed = Result("wrinkle", f"{name}, {size}", "s/s", tuple(shown / each for each in seconds), bar=1.0)
+    parts = sorted(shares.items(), key=lambda part: -part[1])
+    return [
+        speed,
+        *(Result("wrinkle", f"{name}: {part}", "%", (100.0 * share / sum(seconds),)) for part, share in parts),
+    ]
 
 
 def _draw(chosen: Any, fabric: Fabric, state: State) -> Outcome:
