@@ -328,6 +328,7 @@ def test_the_scene_reads_the_files_that_were_named_whatever_else_has_their_names
     assert files[2:4] == ["below/tube.json", "other.json"]
 
 
+@pytest.mark.quick(written=['edge: "6 cm"', "nuno: 1"])
 @pytest.mark.parametrize(
     ("written", "changed"),
     [

@@ -395,6 +395,7 @@ def test_a_bare_cone_is_no_bloom_skirt_though_its_largest_harmonic_be_the_ridges
     assert [judge({BLOOM: measured}).holds for judge in judges] == [holds, holds]
 
 
+@pytest.mark.full
 def test_a_bloom_skirt_stands_as_wide_as_it_was_cut_in_as_many_lobes_as_ridges_were_drawn() -> None:
     simulation = Simulation.with_bodies(scene_file.read(shipped.find("bloom-skirt")), 1)
     hem = find_hem(simulation.fabric.faces, simulation.state.x)
