@@ -19,15 +19,22 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 _LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 
+_OF_CLOTH = "gsm = g / m^2", "osy = oz / yd^2", "momme = 4.340 g / m^2"
+"""Units of weight per area as merchants of cloth write them."""
+
+
 @functools.cache
 def _registry() -> Any:
     import pint
 
-    registry = functools.partial(pint.UnitRegistry, autoconvert_offset_to_baseunit=True)
+    make = functools.partial(pint.UnitRegistry, autoconvert_offset_to_baseunit=True)
     try:
-        return registry(cache_folder=":auto:")
+        registry = make(cache_folder=":auto:")
     except Exception:  # the folder is not writable, or a file in it is truncated: read the units anew
-        return registry(cache_folder=None)
+        registry = make(cache_folder=None)
+    for unit in _OF_CLOTH:
+        registry.define(unit)
+    return registry
 
 
 def to_si(value: object, unit: str) -> float:
