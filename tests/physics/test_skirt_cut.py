@@ -144,3 +144,15 @@ def test_fit_names_the_skirts_that_it_measures() -> None:
         assert cut in MEASURED and build(cut, edge=0.05).membrane is not None
     cone = SkirtConfig.model_validate({"waist_radius": WAIST, "length": LENGTH, "fabric": "denim"})
     assert Skirt().build(cone, None, 0).membrane is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.6])
+def test_waist_and_hem_are_as_long_as_circles_however_flat(ratio: float) -> None:
+    config = SkirtConfig.model_validate(
+        {"waist_radius": 0.12, "hem_radius": 0.3, "ratio": ratio, "columns": 128, "rows": 50, "fabric": "denim"}
+    )
+    x = Skirt().build(config, None, 0).position  # type: ignore[arg-type]
+    for row, radius in ((x[:128], 0.12), (x[-128:], 0.3)):
+        assert np.ptp(row[:, 2]) / np.ptp(row[:, 0]) == pytest.approx(ratio, rel=1e-3)
+        length = np.linalg.norm(np.roll(row, -1, axis=0) - row, axis=1).sum()
+        assert length == pytest.approx(2.0 * np.pi * radius, rel=1e-3)

@@ -146,11 +146,11 @@ class SkirtConfig(Config):
         description="cone: as wide as hem_radius and fullness say; circle, half, quarter: that part of a flat ring, "
         "whose inner rim is the waist, in triangles",
     )
-    waist_radius: Length = Field(default=0.13, description="of the waist, half its width [m]")
+    waist_radius: Length = Field(default=0.13, description="of the circle that is as long as the waist [m]")
     hem_radius: Length = Field(
         default=0.28,
-        description="of the circle on which the hem starts [m]; not given, over a body: as wide as hips and legs need; "
-        "of a ring: as wide as it is cut, if there is room",
+        description="of the circle as long as that on which the hem starts [m]; not given, over a body: as wide as "
+        "hips and legs need; of a ring: as wide as it is cut, if there is room",
     )
     length: Length = Field(default=0.5, description="along the cloth, from waist to hem [m]")
     columns: int = Field(default=128, ge=4, le=16384, description="vertices around, an even number")
