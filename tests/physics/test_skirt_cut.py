@@ -155,4 +155,4 @@ def test_waist_and_hem_are_as_long_as_circles_however_flat(ratio: float) -> None
     for row, radius in ((x[:128], 0.12), (x[-128:], 0.3)):
         assert np.ptp(row[:, 2]) / np.ptp(row[:, 0]) == pytest.approx(ratio, rel=1e-3)
         length = np.linalg.norm(np.roll(row, -1, axis=0) - row, axis=1).sum()
-        assert length == pytest.approx(2.0 * np.pi * radius, rel=1e-3)
+        assert length == pytest.approx(2.0 * np.pi * radius, rel=5e-3)
