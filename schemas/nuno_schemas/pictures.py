@@ -96,14 +96,16 @@ class DyePicturePlugin(Plugin, Protocol):
 class DrawnDraft:
     """A draft with its drawdown.
 
-    picture  (h, w, 3) sRGB
-    pixel    side of a pixel of the drawdown [m], None if the file has no spacing
-    facts    properties that the file states, as text by name
+    picture   (h, w, 3) sRGB
+    pixel     side of a pixel of the drawdown [m], None if the file has no spacing
+    facts     properties that the file states, as text by name
+    drawdown  (picks, ends), True where the warp is above
     """
 
     picture: Picture
     pixel: float | None
     facts: Mapping[str, str]
+    drawdown: Bool
 
 
 # Renderers: plugins that draw meshes as a camera sees them.

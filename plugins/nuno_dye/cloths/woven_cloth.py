@@ -25,7 +25,7 @@ from nuno_dye.weaving_drafts.weaves import (
     draw_twill,
     read_matrix,
 )
-from nuno_dye.weaving_drafts.wif import UNDYED, Draft, Yarns, read_wif
+from nuno_dye.weaving_drafts.wif import UNDYED, Draft, Yarns, find_loom, read_wif, write_wif
 from nuno_schemas.dye import Cells, DyeState, Tortuosity
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
@@ -363,6 +363,10 @@ class WovenCloth(Cloth):
     def draw_draft(self, path: Path) -> DrawnDraft:
         """Draw a WIF file as weavers do. Raises BadInput for one that does not define a weave."""
         return draw_draft(read_wif(path))
+
+    def write_draft(self, rows: Sequence[str]) -> str:
+        """Return a WIF file of a weave drawn as rows of 0 and 1, as in `matrix`. Raises BadInput for no such weave."""
+        return write_wif(find_loom(read_matrix(rows)))
 
 
 def read_draft(config: WovenClothConfig, files: Files) -> Draft | None:

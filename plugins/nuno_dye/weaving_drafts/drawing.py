@@ -70,7 +70,7 @@ def draw_draft(draft: Draft) -> DrawnDraft:
         facts["colours"] = f"the file numbers those of {' and '.join(colourless)}, but has no [COLOR TABLE]: left out"
     if draft.left_out:
         facts["left out"] = "; ".join(draft.left_out)
-    return DrawnDraft(out, pixel, facts)
+    return DrawnDraft(out, pixel, facts, draft.drawdown)
 
 
 def _place_after(start: int, *lengths: int) -> tuple[slice, ...]:

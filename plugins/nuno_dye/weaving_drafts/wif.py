@@ -441,3 +441,44 @@ def _check_work(section: Section, lifts: int) -> None:
             "lists too many at once", file=section.file, line=section.line, field=f"[{section.name}]", value=lifts,
             limit=f"{MOST_LIFTS} lifts",
         )  # fmt: skip
+
+
+# Drafts of drawn weaves: a loom for a drawdown, and its file.
+
+MOST_TREADLES = 32
+"""The most treadles of a written tie-up; with more, as on dobby looms, a plan says which shafts each pick lifts."""
+
+
+def find_loom(drawdown: Bool) -> Loom:
+    """Return a loom that weaves a drawdown (picks, ends): equal ends hang on one shaft, equal picks press one treadle,
+    both numbered as they first occur. Beyond MOST_TREADLES the picks have a lift plan.
+    """
+    (shaft, ends), (treadle, picks) = _number_alike(drawdown.T), _number_alike(drawdown)
+    threading, lifts = np.eye(len(ends), dtype=np.bool_)[shaft], drawdown[:, ends]
+    if len(picks) > MOST_TREADLES:
+        return Loom(threading, lifts, None)
+    return Loom(threading, np.eye(len(picks), dtype=np.bool_)[treadle], lifts[picks])
+
+
+def _number_alike(rows: Bool) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the kind (n,) of each row (n, m), kinds numbered as they first occur, and the first row of each kind."""
+    _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[kind], np.sort(first)
+
+
+def write_wif(loom: Loom) -> str:
+    """Return the text of a file of a loom, with neither colours nor spacing of yarns."""
+    (ends, shafts), (picks, treadles) = loom.threading.shape, loom.pressed.shape
+    plan = loom.tie_up is None
+    tables = {"THREADING": loom.threading, "TIEUP": loom.tie_up, "LIFTPLAN" if plan else "TREADLING": loom.pressed}
+    sections = {
+        "WEAVING": [f"Shafts={shafts}", f"Treadles={0 if plan else treadles}", "Rising Shed=true"],
+        "WARP": [f"Threads={ends}"], "WEFT": [f"Threads={picks}"],
+    }  # fmt: skip
+    sections |= {
+        name: [f"{i}={','.join(map(str, np.flatnonzero(row) + 1)) or 0}" for i, row in enumerate(table, 1)]
+        for name, table in tables.items() if table is not None
+    }  # fmt: skip
+    head = ["Version=1.1", "Date=April 20, 1997", "Developers=wif@mhsoft.com", "Source Program=nuno"]
+    sections = {"WIF": head, "CONTENTS": [f"{name}=true" for name in sections]} | sections
+    return "\n".join("\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items())

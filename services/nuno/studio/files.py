@@ -22,13 +22,14 @@ from nuno.scene import shipped
 from nuno.scene.files import stamp_of
 from nuno.scene.override import as_override as _as
 from nuno.scene.templates import Garment, describe_worn, load_after, name_garments, unit_for, write_after
+from nuno.studio.drafts import open_draft, save_draft
 from nuno.studio.dropped_files import KINDS, MOST, Arrivals, Seen, as_scale, files_of, look, reserve
 from nuno.studio.server import NOT_FOUND, Refused
 from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput, nearest
 
-FILE_ACTS = ("files", "expect", "about", "make")
+FILE_ACTS = ("files", "expect", "about", "make", "drawdown", "save_draft")
 """Requests about files, each a method."""
 LISTED = tuple(kind for kind in KINDS if kind not in (".yaml", ".yml", ".mcap"))
 """Endings of listed files: those of scenes and recordings have lists of their own."""
@@ -69,6 +70,15 @@ class Files:
         path = self._find(request.get("file"))
         scene = make(path, self._look, request.get("offer"), chosen if isinstance(chosen, dict) else {})
         return {"scene": scene.name}
+
+    def drawdown(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a draft's drawdown as rows of 0 and 1. Raises BadInput."""
+        return {"rows": open_draft(self._find(request.get("file")))}
+
+    def save_draft(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Save a drawn weave as a draft; return its text, and describe it with its offers. Raises BadInput."""
+        path, text = save_draft(request.get("rows"), request.get("name"), request.get("before"), self.folder)
+        return {"text": text} | self._describe(path)
 
     def picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """Return the picture of a file. Raises Refused."""

@@ -179,11 +179,7 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
         limit = "letters, digits, - _ ., and at its end .yaml or nothing"
         raise BadInput("not the name of a scene's file", field="name", value=name, limit=limit)
     target = folder / name
-    if target.exists() and (not path.exists() or not target.samefile(path)):
-        raise BadInput("a file of that name is there already", field="name", value=name, remedy="take another name")
-    if target.exists() and read_text(target) != before:
-        remedy = "save under another name, or open it again to go on from what it says now"
-        raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
+    check_target(target, before if path.exists() and target.exists() and target.samefile(path) else None)
     yaml_lines.parse(text, name)
     if not own and NAMED.findall(text)[:1] == NAMED.findall(before)[:1] != []:
         stem = re.sub(r"[^A-Za-z0-9_-]", "-", target.stem)[:NAME]
@@ -196,6 +192,17 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
         roots = " ".join(f"--root {root}" for root in (files.folder, *files.roots)) if files_used else ""
         more = f"It names files that lie elsewhere: nuno run {name} {roots}" if roots else ""
     return {"name": name, "file": str(target), "text": more}
+
+
+def check_target(target: Path, before: str | None) -> None:
+    """Raise BadInput for a file that exists, unless it still has the text `before`."""
+    if target.exists() and before is None:
+        raise BadInput(
+            "a file of that name is there already", field="name", value=target.name, remedy="take another name"
+        )
+    if target.exists() and read_text(target) != before:
+        remedy = "save under another name, or open it again to go on from what it says now"
+        raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
 
 
 def _files_used(text: str, path: Path) -> bool:
