@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
 
@@ -18,8 +19,9 @@ from nuno.cli import main
 from nuno_dye.cloths.woven_cloth import WovenCloth, WovenClothConfig
 from nuno_dye.weaving_drafts.drawing import MARGIN, MARK, draw_draft
 from nuno_dye.weaving_drafts.weaves import draw_plain, draw_twill
-from nuno_dye.weaving_drafts.wif import read_wif
+from nuno_dye.weaving_drafts.wif import MOST_TREADLES, find_loom, read_wif, weave, write_wif
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Bool
 
 
 @pytest.fixture
@@ -66,6 +68,54 @@ def test_several_shafts_and_treadles_act_together(write) -> None:  # type: ignor
     text = SINKING.replace("=off", "=on").replace("Threads=2", "Threads=3")
     text = text.replace("[TIEUP]", "3=1,2\n[TIEUP]") + "3=1,2\n"
     assert read_wif(write(text)).drawdown.tolist() == [[1, 0, 1], [0, 1, 1], [1, 1, 1]]
+
+
+def random_drawdowns(number: int) -> Iterator[Bool]:
+    """Drawdowns of 1 x 1 to 60 x 60, also with equal yarns and with yarns that are above, or below, all others."""
+    rng = np.random.default_rng(20)
+    for _ in range(number):
+        picks, ends, pick_kinds, end_kinds = rng.integers(1, 61, 4)
+        kinds = rng.random((pick_kinds, end_kinds)) < rng.uniform(0.1, 0.9)
+        drawdown = kinds[np.ix_(rng.integers(0, pick_kinds, picks), rng.integers(0, end_kinds, ends))]
+        for lines in (drawdown, drawdown.T):
+            if rng.random() < 0.3:
+                lines[rng.integers(0, len(lines))] = rng.random() < 0.5
+        yield drawdown
+
+
+def test_a_written_drawdown_is_read_back_to_the_bit(write) -> None:  # type: ignore[no-untyped-def]
+    """A shaft for each kind of end, a treadle for each kind of pick, numbered as they first occur."""
+    plans = loose = 0
+    for drawdown in random_drawdowns(400):
+        loom = find_loom(drawdown)
+        assert np.array_equal(weave(loom.threading, loom.moved), drawdown)
+        assert (loom.threading.sum(axis=1) == 1).all()
+        shafts, treadles = (len(np.unique(lines, axis=0)) for lines in (drawdown.T, drawdown))
+        assert loom.threading.shape[1] == shafts
+        assert list(dict.fromkeys(loom.threading.argmax(axis=1).tolist())) == list(range(shafts))
+        assert (loom.tie_up is None) == (treadles > MOST_TREADLES)
+        if loom.tie_up is not None:
+            assert loom.tie_up.shape == (treadles, shafts) and (loom.pressed.sum(axis=1) == 1).all()
+            assert list(dict.fromkeys(loom.pressed.argmax(axis=1).tolist())) == list(range(treadles))
+        path = write(write_wif(loom))
+        if drawdown.all() or not drawdown.any():
+            loose += 1
+            with pytest.raises(BadInput, match="everywhere"):
+                read_wif(path)
+            continue
+        draft = read_wif(path)
+        assert np.array_equal(draft.drawdown, drawdown) and draft.left_out == ()
+        assert all(np.array_equal(one, other) for one, other in zip(astuple(draft.loom), astuple(loom), strict=True))
+        plans += loom.tie_up is None
+    assert plans and loose  # both were among them
+
+
+def test_the_contents_of_a_written_draft_name_its_sections() -> None:
+    rng = np.random.default_rng(1)
+    for drawdown in (draw_twill(2, 2), rng.random((60, 7)) < 0.5):
+        head, *sections = re.findall(r"^\[(.+)\]$", write_wif(find_loom(drawdown)), re.MULTILINE)
+        assert (head, sections[0]) == ("WIF", "CONTENTS")
+        assert re.findall(r"^(.+)=true$", write_wif(find_loom(drawdown)).split("[WEAVING]")[0], re.M) == sections[1:]
 
 
 @pytest.mark.parametrize("text", [FLOOR_LOOM, DOBBY, SINKING])

@@ -16,11 +16,16 @@ NEW = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.wif", re.ASCII)
 """Allowed names of a new draft."""
 
 
-def open_draft(path: Path) -> list[str]:
-    """Return the drawdown of a draft as rows of 0 and 1. Raises BadInput, also for one that is too large to draw."""
-    drawn: DrawnDraft = registry.offering("nuno.dye_cloths", "draw_draft", "draws drafts").draw_draft(path)
+def open_draft(path: Path) -> dict[str, object]:
+    """Return the drawdown of a draft as rows of 0 and 1, and its text if the file holds no more: then it may be
+    saved over. Raises BadInput, also for a draft that is too large to draw.
+    """
+    cloth = registry.offering("nuno.dye_cloths", "write_draft", "writes drafts")
+    drawn: DrawnDraft = cloth.draw_draft(path)
     _check_size(*drawn.drawdown.shape)
-    return ["".join(map(str, row)) for row in drawn.drawdown.astype(int).tolist()]
+    rows = ["".join(map(str, row)) for row in drawn.drawdown.astype(int).tolist()]
+    text: str = cloth.write_draft(rows)
+    return {"rows": rows, "text": text if path.read_bytes() == text.encode() else None}
 
 
 def save_draft(rows: object, name: object, before: object, folder: Path) -> tuple[Path, str]:

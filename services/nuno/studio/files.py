@@ -72,8 +72,8 @@ class Files:
         return {"scene": scene.name}
 
     def drawdown(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a draft's drawdown as rows of 0 and 1. Raises BadInput."""
-        return {"rows": open_draft(self._find(request.get("file")))}
+        """Return a draft's drawdown. Raises BadInput."""
+        return open_draft(self._find(request.get("file")))
 
     def save_draft(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Save a drawn weave as a draft; return its text, and describe it with its offers. Raises BadInput."""

@@ -8,6 +8,7 @@ import { Hand } from "./hand.js";
 import { Lines } from "./lines.js";
 import { follow, frameOf } from "./link.js";
 import { Paint } from "./paint.js";
+import { toast } from "./say.js";
 import { colours, gradient, stretched } from "./scale.js";
 import { factor } from "./words.js";
 
@@ -65,7 +66,8 @@ export class Cloth {
       make("div", { className: "tools" }, button("fit", "Fit", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
         button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
-        this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "", this.back,
+        this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "",
+        this.scene.large ? button("weave", "Weave", "Draw another weave for this cloth (key W)", () => this.weave()) : "", this.back,
         this.scene.large ? button("large", "Larger", "Hide text and form (key L)", () => this.scene.large()) : ""),
       this.draw.box, this.draw.labels, this.paint.box,
       make("div", { className: "below" }, this.said, this.scale, this.figures));
@@ -81,10 +83,21 @@ export class Cloth {
   /** Whether the start is to be built before a run is followed, for lines that go into the text. */
   get startFirst() { return this.draw.wanted && !this.number && this.scene.good && this.built === null; }
 
+  /** Whether the scene says how its dyed cloth is woven. */
+  get woven() { return this.scene.data?.dye?.cloth?.plugin === "woven"; }
+
+  /** Draw another weave for the cloth, as a draft that lies beside the scene. */
+  weave() {
+    if (!this.woven) return;
+    if (this.scene.own) location.hash = `#weave=${encodeURIComponent(this.scene.name)}`;
+    else toast("Save the scene under a name of yours first", "The draft of its weave is to lie beside it.");
+  }
+
   /** Show what is to be seen now, or nothing more. */
   update() {
     if (this.over.signal.aborted || !this.stage) return;
     this.back.hidden = !this.live || this.running;
+    if (this.scene.large) document.getElementById("cloth-weave").hidden = !this.woven;
     const text = this.scene.text?.value;
     if (this.running) this.ran = text;
     else if (this.ran !== text) this.live = "";
@@ -201,7 +214,7 @@ export class Cloth {
   keys(e) {
     if (e.ctrlKey || e.metaKey || e.altKey) return;
     if (e.key === " ") { e.preventDefault(); document.getElementById(dock.going ? "pause" : "run")?.click(); }
-    const id = { f: "fit", m: "mesh", s: "stretch", d: "draw", p: "paint", l: "large" }[e.key.toLowerCase()];
+    const id = { f: "fit", m: "mesh", s: "stretch", d: "draw", p: "paint", w: "weave", l: "large" }[e.key.toLowerCase()];
     if (id) { e.preventDefault(); document.getElementById(`cloth-${id}`)?.click(); }
   }
 

@@ -23,13 +23,14 @@ export async function files(view) {
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: "Files" })),
     make("div", { className: "panel hint" }, make("p", { textContent: "Drop files anywhere on this page. They are copied into the folder, and nothing there is written over." }), make("p", { className: "soft", textContent: TOLD }),
-      make("button", { type: "button", className: "main", textContent: "Choose files …", onclick: () => $("chosen").click() })), list);
+      make("div", { className: "group" }, make("button", { type: "button", className: "main", textContent: "Choose files …", onclick: () => $("chosen").click() }),
+        make("button", { type: "button", id: "draw-weave", textContent: "Draw a weave …", title: "A draft by mouse or keys", onclick: () => { location.hash = "#weave"; } }))), list);
   const others = answer.files.filter((name) => !dropped.has(name));
   list.append(...[...dropped.values()].reverse().map((told) => card(told.file, told)), ...others.map((name) => card(name)));
 }
 
 /** One file: its name, and once it is opened what it is and what can be done with it. */
-function card(name, told) {
+export function card(name, told) {
   const inside = make("div", { className: "inside" }), title = make("span", { textContent: told ? told.title : "" });
   const box = make("details", { className: "section file", open: Boolean(told) }, make("summary", {}, make("b", { textContent: name }), title), inside);
   box.dataset.file = name;
@@ -48,12 +49,13 @@ function card(name, told) {
 function fill(inside, told) {
   const about = make("div", {}, rowsOf(told.rows), ...told.mistakes.map(wordsOf), ...told.offers.map((one, i) => offer(told, one, i === 0)));
   if (told.kind === "scene") about.append(opener("Open this scene", `#scene=${encodeURIComponent(told.file)}`));
+  if (told.kind === "draft" && location.hash === "#files") about.append(opener("Draw in it", `#weave=${encodeURIComponent(told.file)}`, ""));
   if (told.kind === "recording") about.append(opener("Open this recording", `#run=${encodeURIComponent(told.file)}`));
   const picture = told.pictured ? [make("img", { src: `shown?file=${encodeURIComponent(told.file)}`, alt: `${told.file}, drawn` })] : [];
   inside.replaceChildren(make("div", { className: picture.length ? "told pictured" : "told" }, ...picture, about));
 }
 
-const opener = (text, place) => make("div", { className: "offer" }, make("button", { type: "button", className: "main", textContent: text, onclick: () => { location.hash = place; } }));
+const opener = (text, place, className = "main") => make("div", { className: "offer" }, make("button", { type: "button", className, textContent: text, onclick: () => { location.hash = place; } }));
 
 /** A button that makes a scene, and beside it what is chosen for it. */
 function offer(told, { name, text, choices }, first) {

@@ -9,6 +9,7 @@ import { recording, recordings } from "./recordings.js";
 import { Replay } from "./replay.js";
 import { confirm, quiet } from "./say.js";
 import { SceneView } from "./scene.js";
+import { WeaveView } from "./weave.js";
 
 const view = document.getElementById("view");
 let scene = null, run = null, shown = "";
@@ -31,14 +32,15 @@ class RunView {
   close() { this.cloth.close(); }
 }
 
-/** Whether a scene may be left: it has been saved, or is given up. */
+/** Whether a scene, or a weave, may be left: it has been saved, or is given up. */
 async function leaves(scene) {
   const lines = scene.cloth?.draw.unsaved, yes = scene.save && !lines ? "Save" : "", other = "Leave without saving";
-  const said = await confirm({ title: "Leave this scene?", text: lines ? "Lines that were drawn on its cloth are not in the text, and would be lost." : "Its text was changed, and is not saved.", yes, other });
+  const what = scene.what ?? "scene", changed = scene.what ? "It was drawn on, and is not saved." : "Its text was changed, and is not saved.";
+  const said = await confirm({ title: `Leave this ${what}?`, text: lines ? "Lines that were drawn on its cloth are not in the text, and would be lost." : changed, yes, other });
   return said === other || (said === true && scene.save({ leaving: true }));
 }
 
-/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME, files. */
+/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME, files, weave=NAME of a draft or of the scene that it is for. */
 async function route() {
   if (asking || (location.hash || "#scenes") === shown) return;
   if (scene?.unsaved) {
@@ -57,14 +59,15 @@ async function route() {
   scene?.close();
   run?.close();
   scene = run = null;
-  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]], ["to-files", ["files"]]]) {
+  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]], ["to-files", ["files", "weave"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
     else document.getElementById(id).removeAttribute("aria-current");
   }
-  document.title = `${name || { runs: "Runs", files: "Files" }[what] || "Scenes"} · nuno studio`;
+  document.title = `${name || { runs: "Runs", files: "Files", weave: "Draw a weave" }[what] || "Scenes"} · nuno studio`;
   view.replaceChildren();
   if (what === "draw" && !name) scene = new RunView(view);
   else if (what === "scene" || what === "draw") { scene = new SceneView(view, name); await scene.open(what === "draw"); }
+  else if (what === "weave") { scene = new WeaveView(view, name); await scene.open(); }
   else if (what === "runs") await recordings(view);
   else if (what === "files") await files(view);
   else if (what === "run") { run = new Replay(name); await recording(view, name, run); }

@@ -7,6 +7,7 @@ import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { Schema } from "./schema.js";
 import { Text } from "./text.js";
+import { handed } from "./weave.js";
 import { count } from "./words.js";
 
 /** How long nothing is typed [ms] until the text is checked. */
@@ -36,6 +37,11 @@ export class SceneView {
     if (answer.changed !== null) this.text.set(answer.changed);
     this.take(answer);
     this.view.addEventListener("line", (e) => { this.side("text"); this.text.go(e.detail); });
+    const weave = handed.get(this.name);
+    if (!weave) return;
+    handed.delete(this.name);
+    await this.change({ path: ["dye", "cloth", "weave"], value: weave });
+    toast(`The weave is ${weave.file} now`, "Undo brings back the one before; Save keeps it.");
   }
 
   build() {
