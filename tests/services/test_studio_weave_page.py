@@ -142,6 +142,7 @@ def test_keys_move_turn_over_and_carry_on(page: Page, weaving: Server) -> None:
         for _ in range(MOST_YARNS):
             arrow(key)
             arrow("ArrowRight" if end else key)
+        page.wait("!nuno.scene.asked && !nuno.scene.led")
         x, y = place(page, end, pick)
         assert page.value(f"document.elementFromPoint({x}, {y})?.id") == "weave-grid"
 

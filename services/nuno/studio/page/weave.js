@@ -44,6 +44,7 @@ export class WeaveView {
     if (this.scene) {
       const answer = await ask("open", { scene: this.scene }), weave = answer.data?.dye?.cloth?.weave ?? {};
       if (!taken(answer)) return;
+      this.from = `Saved as a draft, it can be put into ${this.scene}.`;
       file = weave.plugin === "wif" ? weave.file : "";
       const rows = file ? null : drawdownOf(weave);
       if (rows && [rows, ...rows].every(({ length }) => length >= 1 && length <= MOST)) this.rows = tiled(rows, rows.length, rows[0].length);
@@ -78,7 +79,7 @@ export class WeaveView {
         make("span", { className: "soft", textContent: `1 to ${MOST} of each. Where there are more of them, the weave goes on as it repeats.` })),
       make("div", { className: "two" },
         make("section", { className: "panel", ariaLabel: "One repeat" }, make("h2", {}, "One repeat", make("span", { className: "soft", textContent: "click or drag" })), this.hold,
-          make("p", {}, key("warp", "warp above"), key("weft", "weft above"), make("span", { id: "weave-place", className: "soft", role: "status" })),
+          make("p", { className: "keys" }, key("warp", "warp above"), key("weft", "weft above"), make("span", { id: "weave-place", className: "soft", role: "status" })),
           make("p", { className: "soft", textContent: "Keys: arrows move, Space turns a crossing over, Shift and arrows carry it on. End 1 is at the left, pick 1 at the top, as in pictures of cloth." })),
         make("section", { className: "panel", ariaLabel: "The cloth" }, make("h2", {}, "The cloth", make("span", { className: "soft", textContent: "one repeat is outlined" })), this.pattern, make("div", { id: "weave-facts" }))),
       make("div", { id: "weave-saved" })));
@@ -158,12 +159,7 @@ export class WeaveView {
     if (!way && !turns) return;
     e.preventDefault();
     if (!this.inside(next)) return;
-    this.at = next;
-    // Where the grid is larger than its box, the crossing is to be seen.
-    for (const [i, start, size] of [[0, "scrollLeft", "clientWidth"], [1, "scrollTop", "clientHeight"]]) {
-      const before = this.side * next[i], beyond = RIM + before + this.side + EDGE - this.hold[size];
-      this.hold[start] = Math.min(before, Math.max(this.hold[start], beyond));
-    }
+    Object.assign(this, { at: next, led: true });
     if (turns || e.shiftKey) this.put(this.rows.map((row, p) => row.map((up, n) => (p === next[1] && n === next[0] ? (turns ? 1 - up : this.rows[pick][end]) : up))));
     else this.draw();
   }
@@ -206,6 +202,7 @@ export class WeaveView {
 
   drawGrid() {
     const { rows, side, at } = this, wide = RIM + side * rows[0].length + EDGE, high = RIM + side * rows.length + EDGE, pen = sized(this.grid, wide, high);
+    if (this.led) this.reveal();
     const every = side >= 18 ? 1 : 5, soft = getComputedStyle(this.grid).color;
     Object.assign(pen, { fillStyle: soft, font: "11px system-ui, sans-serif", textAlign: "center", textBaseline: "middle" });
     for (const [n, place] of [[rows[0].length, (x) => [x, RIM / 2]], [rows.length, (x) => [RIM / 2, x]]])
@@ -221,6 +218,15 @@ export class WeaveView {
     Object.assign(pen, { strokeStyle: MARK, lineWidth: 2 });
     pen.strokeRect(RIM + side * at[0] + 0.5, RIM + side * at[1] + 0.5, side, side);
     $("place").textContent = `end ${at[0] + 1}, pick ${at[1] + 1}: ${rows[at[1]][at[0]] ? "warp" : "weft"} above`;
+  }
+
+  /** Where the grid is larger than its box, show the crossing that keys have led to. */
+  reveal() {
+    this.led = false;
+    for (const [i, start, size] of [[0, "scrollLeft", "clientWidth"], [1, "scrollTop", "clientHeight"]]) {
+      const before = this.side * this.at[i], beyond = RIM + before + this.side + EDGE - this.hold[size];
+      this.hold[start] = Math.min(before, Math.max(this.hold[start], beyond));
+    }
   }
 
   drawCloth() {
