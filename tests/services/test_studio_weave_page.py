@@ -13,7 +13,7 @@ from browser import Page
 from studio_desk import NEEDS_BROWSER, look, studio
 
 from nuno.scene import shipped
-from nuno.studio.drafts import MOST_YARNS
+from nuno.studio.files import MOST_YARNS
 from nuno.studio.server import Server
 from nuno_dye.weaving_drafts.weaves import draw_plain, draw_satin, draw_twill
 from nuno_dye.weaving_drafts.wif import find_loom, read_wif
@@ -22,6 +22,16 @@ from nuno_schemas.fabric import Bool
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 SCENE = "drops.yaml"
 DRAWN = "Boolean(document.getElementById('weave-place')?.textContent)"
+
+PICTURED = """(() => {
+  const image = document.querySelector('#weave-saved img');
+  if (!image?.complete || !image.naturalWidth) return null;
+  const { naturalWidth: width, naturalHeight: height } = image;
+  const pen = Object.assign(document.createElement('canvas'), { width, height }).getContext('2d');
+  pen.drawImage(image, 0, 0);
+  return pen.getImageData(0, 0, width, height).data.reduce((sum, value, i) => (31 * sum + value) % 1000003, 1);
+})()"""
+"""A checksum of the pixels of the saved draft's picture."""
 
 
 def begin(page: Page, server: Server, place: str = "#weave") -> None:
@@ -211,9 +221,11 @@ def test_a_saved_weave_is_saved_over_and_read_back_as_drawn(page: Page, weaving:
     drawn = rows(page)
     assert np.array_equal(read_wif(Path("mine.wif")).drawdown, drawn)
     assert page.value("document.getElementById('weave-save').disabled && !nuno.scene.unsaved")
+    pictured = page.wait(PICTURED)
     page.drag([place(page, 7, 0)])
     page.press("s", control=True)
     page.wait("!nuno.scene.unsaved")
+    page.wait(f"(({PICTURED}) ?? {pictured}) !== {pictured}")  # the picture of the file as it is now
     assert np.array_equal(read_wif(Path("mine.wif")).drawdown, rows(page)) and not np.array_equal(rows(page), drawn)
     begin(page, weaving, "#weave=mine.wif")
     assert np.array_equal(read_wif(Path("mine.wif")).drawdown, rows(page))

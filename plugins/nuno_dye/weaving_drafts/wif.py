@@ -453,32 +453,31 @@ def find_loom(drawdown: Bool) -> Loom:
     """Return a loom that weaves a drawdown (picks, ends): equal ends hang on one shaft, equal picks press one treadle,
     both numbered as they first occur. Beyond MOST_TREADLES the picks have a lift plan.
     """
-    (shaft, ends), (treadle, picks) = _number_alike(drawdown.T), _number_alike(drawdown)
-    threading, lifts = np.eye(len(ends), dtype=np.bool_)[shaft], drawdown[:, ends]
-    if len(picks) > MOST_TREADLES:
-        return Loom(threading, lifts, None)
-    return Loom(threading, np.eye(len(picks), dtype=np.bool_)[treadle], lifts[picks])
+    (threading, ends), (pressed, picks) = _group_alike(drawdown.T), _group_alike(drawdown)
+    lifts = drawdown[:, ends]
+    return Loom(threading, pressed, lifts[picks]) if len(picks) <= MOST_TREADLES else Loom(threading, lifts, None)
 
 
-def _number_alike(rows: Bool) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the kind (n,) of each row (n, m), kinds numbered as they first occur, and the first row of each kind."""
+def _group_alike(rows: Bool) -> tuple[Bool, NDArray[np.intp]]:
+    """Return which kind each row is (rows, kinds), kinds in the order of their first rows, and these rows (kinds,)."""
     _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[kind], np.sort(first)
+    order = np.argsort(first)
+    return kind[:, None] == order, first[order]
 
 
 def write_wif(loom: Loom) -> str:
     """Return the text of a file of a loom, with neither colours nor spacing of yarns."""
-    (ends, shafts), (picks, treadles) = loom.threading.shape, loom.pressed.shape
     plan = loom.tie_up is None
     tables = {"THREADING": loom.threading, "TIEUP": loom.tie_up, "LIFTPLAN" if plan else "TREADLING": loom.pressed}
+    shafts, treadles = loom.threading.shape[1], 0 if plan else loom.pressed.shape[1]
     sections = {
-        "WEAVING": [f"Shafts={shafts}", f"Treadles={0 if plan else treadles}", "Rising Shed=true"],
-        "WARP": [f"Threads={ends}"], "WEFT": [f"Threads={picks}"],
+        "WEAVING": [f"Shafts={shafts}", f"Treadles={treadles}", "Rising Shed=true"],
+        "WARP": [f"Threads={len(loom.threading)}"], "WEFT": [f"Threads={len(loom.pressed)}"],
     }  # fmt: skip
-    sections |= {
-        name: [f"{i}={','.join(map(str, np.flatnonzero(row) + 1)) or 0}" for i, row in enumerate(table, 1)]
-        for name, table in tables.items() if table is not None
-    }  # fmt: skip
+    for name, table in tables.items():
+        if table is not None:
+            rows = (",".join(map(str, np.flatnonzero(row) + 1)) or "0" for row in table)
+            sections[name] = [f"{number}={row}" for number, row in enumerate(rows, 1)]
     head = ["Version=1.1", "Date=April 20, 1997", "Developers=wif@mhsoft.com", "Source Program=nuno"]
     sections = {"WIF": head, "CONTENTS": [f"{name}=true" for name in sections]} | sections
     return "\n".join("\n".join([f"[{name}]", *lines, ""]) for name, lines in sections.items())

@@ -1,10 +1,11 @@
-"""Files of the studio's folder: accepted when dropped on the page, described, and turned into scenes by offers."""
+"""Files of the studio's folder: dropped on the page or drawn there, described, and turned into scenes by offers."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import math
+import re
 import shutil
 import tempfile
 import threading
@@ -14,6 +15,7 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from nuno.dye.run import build_cloth
@@ -22,8 +24,8 @@ from nuno.scene import shipped
 from nuno.scene.files import stamp_of
 from nuno.scene.override import as_override as _as
 from nuno.scene.templates import Garment, describe_worn, load_after, name_garments, unit_for, write_after
-from nuno.studio.drafts import open_draft, save_draft
 from nuno.studio.dropped_files import KINDS, MOST, Arrivals, Seen, as_scale, files_of, look, reserve
+from nuno.studio.scenes import check_target, write_whole
 from nuno.studio.server import NOT_FOUND, Refused
 from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
@@ -72,12 +74,23 @@ class Files:
         return {"scene": scene.name}
 
     def drawdown(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a draft's drawdown. Raises BadInput."""
-        return open_draft(self._find(request.get("file")))
+        """Return a draft's rows of 0 and 1, and its text if that says no more and may be replaced. Raises BadInput."""
+        path = self._find(request.get("file"))
+        drawdown = registry.offering("nuno.dye_cloths", "draw_draft", "draws drafts").draw_draft(path).drawdown
+        rows = [bytes(row).decode() for row in drawdown + np.uint8(ord("0"))]
+        text = as_wif(rows)
+        return {"rows": rows, "text": text if path.read_bytes() == text.encode() else None}
 
     def save_draft(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Save a drawn weave as a draft; return its text, and describe it with its offers. Raises BadInput."""
-        path, text = save_draft(request.get("rows"), request.get("name"), request.get("before"), self.folder)
+        """Save a drawn weave; return its text, and describe the draft with its offers. Raises BadInput."""
+        name, text = request.get("name"), as_wif(request.get("rows"))
+        name = f"{name}.wif" if isinstance(name, str) and name and "." not in name else name
+        if not NEW_DRAFT.fullmatch(str(name)):
+            limit = "letters, digits, - _ ., and at its end .wif or nothing"
+            raise BadInput("not the name of a draft's file", field="name", value=name, limit=limit)
+        path = self.folder / str(name)
+        check_target(path, request.get("before"))
+        write_whole(path, text)
         return {"text": text} | self._describe(path)
 
     def picture(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
@@ -115,6 +128,22 @@ class Files:
             "file": path.name, "kind": seen.kind, "title": seen.title, "rows": seen.rows, "mistakes": seen.mistakes,
             "pictured": bool(seen.picture), "offers": describe(offers_for(seen), path.parent),
         }  # fmt: skip
+
+
+# Weaves drawn on the page.
+
+NEW_DRAFT, MOST_YARNS = re.compile(r"[A-Za-z0-9][\w.-]{0,100}\.wif", re.ASCII), 100
+"""Allowed names of a drawn draft, and its most ends, and picks."""
+
+
+def as_wif(rows: object) -> str:
+    """Return the WIF file of a weave drawn as rows of 0 and 1. Raises BadInput for what is no weave, or too large."""
+    drawn = rows if isinstance(rows, list) and all(isinstance(row, str) for row in rows) else []
+    sizes = [len(drawn), *map(len, drawn)]
+    if not 1 <= min(sizes) <= max(sizes) <= MOST_YARNS:
+        shape = f"{len(drawn)} picks x {max(sizes[1:], default=0)} ends"
+        raise BadInput("no weave that can be drawn", field="rows", value=shape, limit=f"1 to {MOST_YARNS} of each")
+    return str(registry.offering("nuno.dye_cloths", "write_draft", "writes drafts").write_draft(drawn))
 
 
 # Offers for a file: each writes a scene next to it, as `nuno sew` and `nuno new` do, ready to run.

@@ -197,9 +197,7 @@ def save(text: str, before: str, path: Path, folder: Path, name: object) -> dict
 def check_target(target: Path, before: str | None) -> None:
     """Raise BadInput for a file that exists, unless it still has the text `before`."""
     if target.exists() and before is None:
-        raise BadInput(
-            "a file of that name is there already", field="name", value=target.name, remedy="take another name"
-        )
+        raise BadInput("a file of that name is there already", field="name", value=target.name, remedy="another name")
     if target.exists() and read_text(target) != before:
         remedy = "save under another name, or open it again to go on from what it says now"
         raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)

@@ -10,6 +10,8 @@ const dropped = new Map();
 /** Grows with all that a person does on the page. */
 let touched = 0;
 for (const kind of ["pointerdown", "keydown", "wheel"]) document.addEventListener(kind, () => { touched++; }, { capture: true, passive: true });
+/** Pictures that were asked for: a browser would show an earlier one of the same address, though its file has changed. */
+let looks = 0;
 const $ = (id) => document.getElementById(id);
 const TOLD = "A mesh (OBJ, PLY, STL, GLB), a motion (BVH), a draft (WIF), a stencil (PNG, JPG), a sewing pattern (JSON), a net (NPZ), a laboratory's sheet of a fabric (CSV, YAML), a scene (YAML) or a recording (MCAP).";
 
@@ -51,7 +53,7 @@ function fill(inside, told) {
   if (told.kind === "scene") about.append(opener("Open this scene", `#scene=${encodeURIComponent(told.file)}`));
   if (told.kind === "draft" && location.hash === "#files") about.append(opener("Draw in it", `#weave=${encodeURIComponent(told.file)}`, ""));
   if (told.kind === "recording") about.append(opener("Open this recording", `#run=${encodeURIComponent(told.file)}`));
-  const picture = told.pictured ? [make("img", { src: `shown?file=${encodeURIComponent(told.file)}`, alt: `${told.file}, drawn` })] : [];
+  const picture = told.pictured ? [make("img", { src: `shown?file=${encodeURIComponent(told.file)}&look=${looks++}`, alt: `${told.file}, drawn` })] : [];
   inside.replaceChildren(make("div", { className: picture.length ? "told pictured" : "told" }, ...picture, about));
 }
 
