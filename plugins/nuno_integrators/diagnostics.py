@@ -35,8 +35,8 @@ def find_forces(
     but the `unkicked` ones feel the velocity `felt` (3, n), by which the step's last kick went.
 
     Each kind is computed by the kernels of a step with the others silent, so nothing is compiled for it; with masses of
-    1 kg their accelerations are newtons. The reaction of sliding surfaces is found as for balance
-    (nuno_contact.sliding.grip).
+    1 kg their accelerations are newtons. Impulses of contact count by their mean over the interval. The reaction of
+    sliding surfaces is found as for balance (nuno_contact.sliding.grip).
     """
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = _bare(packed)
@@ -44,12 +44,13 @@ def find_forces(
     def force(variant: Packed, velocity: Float, python: Extra = None) -> Float:
         return _force(variant, x, velocity, 1.0, python)
 
-    kinds = {"gravity": mass * np.asarray(system.gravity, np.float64)}
+    kinds: dict[str, Float] = {"gravity": mass * np.asarray(system.gravity, np.float64)}
     if system.damping != 0.0:
         kinds["damping"] = -system.damping * mass * state.v
     for part in names:
         velocity = v if part in unkicked else felt
-        kinds[part] = force(silence(bare, *(name for name in names if name != part)), velocity)
+        alone = silence(bare, *(name for name in names if name != part))
+        kinds[part] = sum(call_each(alone, "report.pushed"), start=force(alone, velocity))
     if extra is not None:
         kinds["python"] = force(silence(bare, *names), felt, extra)
     total = np.sum(list(kinds.values()), axis=0)
@@ -70,13 +71,15 @@ def find_touched(
     bare, mass = _bare(packed), system.fabric.mass[:, None]
     total = _force(bare, x, v, 1.0, extra)
     total += mass * np.asarray(system.gravity, np.float64) - system.damping * mass * v.T
+    total = sum(call_each(bare, "report.pushed"), start=total)
     total = total if free is None else np.where(system.fabric.pinned[:, None], total, free)
     by: dict[str, Float] = {}
     for term, names in _with_bodies(system, packed):
         for number, name in enumerate(names):
             alone = role_of(type(term), "report.alone")(term, number)
             if kernels_of(term).report.unbalance is None:
-                by[name] = _force(_only(bare, term, alone), x, v, 1.0, None)
+                only = _only(bare, term, alone)
+                by[name] = sum(call_each(only, "report.pushed"), start=_force(only, x, v, 1.0, None))
             else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
                 by[name], total = left - total, left

@@ -74,6 +74,8 @@ class StepRoles:
     """hold(term, x, v, s, threads) moves vertices after a step"""
     slow: Any = None
     """slow(term, x, v, threads) holds velocities off what `hold` found"""
+    credit: Any = None
+    """credit(term, change) counts among its impulses what `hold` has changed velocities by besides, (3, n)"""
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,8 @@ class ReportRoles:
     """pinched(term) -> pieces, places: which piece each vertex is of that cannot go on, and where (k, 3) [m]"""
     alone: Any = None
     """alone(term, body) -> term, the same in which only one of its bodies acts, by number"""
+    pushed: Any = None
+    """pushed(term) -> (n, 3), mean force of its impulses in the last interval, beside those of its law [N]"""
     unbalance: Any = None
     """unbalance(term, x, force) holds forces (3, n) off bodies, in place"""
 

@@ -125,7 +125,9 @@ class Touched:
 
 @dataclass(frozen=True)
 class Forces:
-    """Forces on a fabric in one state, by the laws of its scene, however the solver treats them in a step."""
+    """Forces on a fabric in one state, by the laws of its scene, however the solver treats them in a step. Impulses by
+    which contact of triangles holds what its law does not count by their mean over the last frame.
+    """
 
     parts: Mapping[str, Float]
     """(n, 3) [N] by kind, only those present: gravity, damping (of the scene), springs (with their own damping),

@@ -79,6 +79,25 @@ def test_a_body_bears_the_weight_of_what_rests_on_it(tmp_path: Path, solver: str
     assert ball.attached == (0.0, 0.0, 0.0) and 0 < ball.vertices <= len(x)
 
 
+@pytest.mark.quick(solver=["respa"])
+@pytest.mark.parametrize("solver", ["symplectic_euler", "leapfrog", "respa"])
+def test_what_hangs_from_a_body_by_impulses_presses_with_its_weight(tmp_path: Path, solver: str) -> None:
+    """Over a thin rod each vertex bears that of 13, most of it by impulses."""
+    turn = {"axis": [0, 0, 1], "angle": "90 deg"}
+    collider = {"plugin": "mesh", "shape": "cylinder", "size": [0.03, 0.2, 0.03], "rounding": 0.01, "rotate": turn}
+    fabric = {"density": 1.5, "warp": 100, "weft": 100, "shear": 10, "bend_warp": 1e-5, "bend_weft": 1e-5}
+    strip = {"plugin": "sheet", "size": [0.06, 0.8], "resolution": [3, 27], "plane": "xz", "cells": "triangles"}
+    model = strip | {"centre": [0, 0.02, 0], "fabric": fabric}
+    simulation = rest(
+        tmp_path, solver, "offset", objects=[{"name": "cloth", "model": model}], damping=8.0,
+        bodies=[{"name": "ball", "collider": collider, "friction": 0.8}],
+        cloth_contact={"plugin": "offset", "bodies": ["ball"], "thickness": 1e-3},
+    )  # fmt: skip
+    weight = simulation.fabric.mass.sum() * GRAVITY
+    assert simulation.memory.arrays["push"].sum(axis=(0, 1))[1] > 0.5 * weight
+    assert felt(simulation)[0].force[1] == pytest.approx(-weight, rel=0.01)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize(("dt", "iterations"), [("auto", 3), ("1 ms", 1), ("4 ms", 1), ("4 ms", 5)])
 def test_sweeps_that_end_before_springs_are_at_their_law_leave_the_weight(

@@ -40,7 +40,14 @@ from nuno_contact.offset.contact_state import (
     close_up,
 )
 from nuno_contact.offset.force import corners_of, drag_anchors, find_touching
-from nuno_contact.offset.impulse import IMPULSE_RANGE, SWEEPS, apply_impulses, farthest_way, push_cloth_ahead
+from nuno_contact.offset.impulse import (
+    IMPULSE_RANGE,
+    SWEEPS,
+    apply_impulses,
+    credit_change,
+    farthest_way,
+    push_cloth_ahead,
+)
 from nuno_contact.offset.proximity import between, closest, unit, weigh
 from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_along
 from nuno_contact.offset.tree import more
@@ -239,7 +246,9 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
     if not passes and (
         m.counts[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.counts[NEAR] > 0 else 0.0, threads) > 0
     ):
+        before = v.copy()
         cut_short(m, x, v, s, threads)
+        credit_change(m, sum_rows(v, -1.0, before))
         all_close(m)
     else:
         m.share[:] = 1.0

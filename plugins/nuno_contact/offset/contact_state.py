@@ -213,6 +213,10 @@ class ContactState(NamedTuple):
     """(P,) which pairs have an anchor: part of the state"""
     last: Float
     """(3, n) vertices after the last step [m]: part of the state"""
+    push: Float
+    """(bodies + 1, n, 3) mean force on cloth by impulses in the last interval [N], of cloth, then of each body: part of
+    the state
+    """
     share: Float
     """(n,) scratch: the share of a step that each vertex makes"""
     rate: Float
@@ -384,6 +388,7 @@ def make_contact_state(
         anchor=np.zeros((places, 4)),
         anchored=np.zeros(places, np.bool_),
         last=np.zeros((3, n)),
+        push=np.zeros((len(solids.law) + 1, fabric.number, 3)),
         share=np.ones(n),
         rate=np.zeros(n),
         fresh=np.zeros(1, np.bool_),

@@ -16,7 +16,7 @@ import numpy as np
 from nuno_contact.offset.contact_state import CLOSE, IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
 from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
-from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.lanes import WIDTH, dot, higher, lane, read_triple, splat
 from nuno_kernels.step.blocks import Long, sum_rows
 from nuno_kernels.terms import over_blocks
@@ -71,6 +71,7 @@ def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: i
     """Slow down, in v (3, n), pairs that would come nearer in the next step, of dt [s], than forces can answer."""
     pairs = m.pairs
     pair, of, reach, mass, last = pairs.vertices, pairs.face, pairs.reach, m.surface.mass, m.last
+    piece, cloth = m.surface.piece, m.surface.meets.shape[0] - m.push.shape[0]
     fast, counts = np.empty(m.counts[CLOSE], np.int32), np.empty(PARTS, np.int64)
     fast_parts(m, v, dt, fast, counts, PARTS, m.counts[CLOSE], threads)
     number = close_up(fast, m.counts[CLOSE], counts)
@@ -97,15 +98,29 @@ def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: i
             go = corners_of(v, pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3])
             lacking = lacks[q] - dt * dot(n, weigh(w, go))
             if lacking > 0.0 and mobility[q] > 0.0:
-                slowed = True
+                slowed, impulse, of_body = True, lacking / (mobility[q] * dt), 0
+                for corner in range(4):
+                    of_body = max(of_body, piece[pair[p, corner]] - cloth)
                 for corner in range(4):
                     i = pair[p, corner]
                     if mass[i] > 0.0:
-                        change = w[corner] / mass[i] * lacking / (mobility[q] * dt)
                         for row in range(3):
-                            v[row, i] += change * n[row]
+                            v[row, i] += w[corner] / mass[i] * impulse * n[row]
+                            m.push[of_body, i, row] += w[corner] * impulse * n[row] / m.span[0]
         if not slowed:
             break
+
+
+@kernel
+def credit_change(m: ContactState, change: Float) -> None:
+    """Count a change of velocities (3, n) among the impulses, of what has pushed each vertex most in the interval."""
+    for i in range(m.push.shape[1]):
+        most, strongest = 0, 0.0
+        for part in range(m.push.shape[0]):
+            size = m.push[part, i, 0] ** 2 + m.push[part, i, 1] ** 2 + m.push[part, i, 2] ** 2
+            most, strongest = (part, size) if size > strongest else (most, strongest)
+        for row in range(3):
+            m.push[most, i, row] += m.surface.mass[i] * change[row, i] / m.span[0]
 
 
 @block_kernel

@@ -51,6 +51,7 @@ from nuno_contact.offset.contact_state import (
     make_contact_state,
 )
 from nuno_contact.offset.force import STEEPEST, across, add_pairs, corners_of, faces_of, find_touching, is_fresh, touch
+from nuno_contact.offset.impulse import credit_change
 from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_contact_matrix, multiply_pairs
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.proximity import closest, unit, weigh
@@ -191,6 +192,8 @@ def check_gaps(m: ContactState, pieces: Sequence[str]) -> None:
 def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) -> None:
     """Before an interval's first step from x (3, n), keep the lists, or begin anew if x is another state."""
     n, goal = x.shape[1], x
+    if span > 0.0:
+        m.push[:] = 0.0
     if m.bodies.local.shape[0] > 0:
         goal, m.bodies.still[0] = m.goal, min(m.bodies.still[0], STANDS)
         pose_solids(m, 0.0)
@@ -354,6 +357,11 @@ def count_cut(m: ContactState, held: Bool) -> None:
     m.so_far[HELD_CUT] += int((held & ~free).sum())
 
 
+def read_push(m: ContactState) -> Float:
+    """Return the mean force (n, 3) [N] of impulses on cloth in the last interval."""
+    return np.asarray(m.push.sum(axis=0))
+
+
 def act_alone(m: ContactState, body: int) -> ContactState:
     """Return the contact state in which cloth meets one of the bodies alone: all other pairs have no force."""
     pairs = m.pairs
@@ -361,7 +369,9 @@ def act_alone(m: ContactState, body: int) -> ContactState:
     own = (m.surface.piece[pairs.vertices[near]] == len(m.surface.meets) - len(m.bodies.law) + body).any(axis=1)
     stiffness, damping = np.zeros_like(pairs.stiffness), np.zeros_like(pairs.damping)
     stiffness[near], damping[near] = pairs.stiffness[near] * own, pairs.damping[near] * own
-    return m._replace(pairs=pairs._replace(stiffness=stiffness, damping=damping))
+    push = np.zeros_like(m.push)
+    push[body + 1] = m.push[body + 1]
+    return m._replace(pairs=pairs._replace(stiffness=stiffness, damping=damping), push=push)
 
 
 register(
@@ -375,6 +385,7 @@ register(
         "plan.spread",
         "plan.unrest",
         "last",
+        "push",
         "clock",
         "so_far",
     ),
@@ -388,12 +399,14 @@ register(
     lists=True,
     reads_velocity=lambda term: True,
     vertices=lambda term: int(term.surface.mass.shape[0]),
-    step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step),
+    step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step, credit=credit_change),
     frame=FrameRoles(interval=set_solid_poses, begin=begin_interval, approach=take_step),
     matrix=MatrixRoles(rows=make_contact_matrix, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
     newton=NewtonRoles(bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee),
     xpbd=XpbdRoles(constraints=make_no_batches, project=project),
-    report=ReportRoles(energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone),
+    report=ReportRoles(
+        energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone, pushed=read_push
+    ),
 )
 
 

@@ -48,7 +48,7 @@ from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, place
+from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, credit, evaluate, place
 from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, State
@@ -146,7 +146,8 @@ def advance_respa(
         average(u, here_v, here_x, last, 1.0 / (after * dt), p.threads)
         copy_rows(here_x, to_x)
         commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
-        rejoin(here_v, u, here_x, to_x, last, p.threads)
+        rejoin(here_v, u, here_x, to_x, last, a, p.threads)
+        credit(a, slow.bodies, slow.bodies_on)
     if steps % 2 == 1:
         copy_rows(here_x, x)
         copy_rows(here_v, v)

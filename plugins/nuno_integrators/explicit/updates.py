@@ -177,8 +177,9 @@ def average(u: Float, v: Float, x: Float, last: Float, rate: float, threads: int
 
 
 @kernel
-def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float) -> None:
-    """Compute v = u + s v on a block, s the share of their way from `last` to `meant` that vertices have gone, up to 1.
+def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: Float, change: Float) -> None:
+    """Compute v = u + s v on a block, s the share of their way from `last` to `meant` that vertices have gone, up to 1;
+    and its change from u + v.
 
     One that is held where it is swings no farther, either: it would set out anew from there after each kick.
     """
@@ -190,13 +191,14 @@ def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: F
             whole += (meant[row, i] - last[row, i]) ** 2
         share = 1.0 if gone >= whole else math.sqrt(gone / whole)
         for row in range(3):
+            change[row, i] = (share - 1.0) * v[row, i]
             v[row, i] = u[row, i] + share * v[row, i]
 
 
-rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last")
+rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last, change")
 
 
 @kernel
-def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, threads: int | None) -> None:
+def rejoin(v: Float, u: Float, x: Float, meant: Float, last: Float, change: Float, threads: int | None) -> None:
     """Do so for all vertices, each array (3, n)."""
-    rejoin_blocks(v, u, x, meant, last, (x.shape[1] + BLOCK - 1) // BLOCK, threads)
+    rejoin_blocks(v, u, x, meant, last, change, (x.shape[1] + BLOCK - 1) // BLOCK, threads)

@@ -25,6 +25,7 @@ add_after = each("step.after", "x, v, s, a, threads")
 settle_bodies = each("step.settle", "x, v, s, threads")
 hold_bodies = each("step.hold", "x, v, s, threads")
 slow_bodies = each("step.slow", "x, v, threads")
+credit_bodies = each("step.credit", "change")
 
 
 Extra = Callable[[Float, Float, float, Float], None] | None
@@ -178,6 +179,12 @@ def hold(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, thread
 def slow(x: Float, v: Float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """Hold velocities off the planes that hold the vertices since they were last held off."""
     slow_bodies(bodies, on, x, v, threads)
+
+
+@block_kernel
+def credit(change: Float, bodies: tuple[Any, ...], on: Bool) -> None:
+    """Count a change of velocities (3, n) by which a method follows `commit` among the impulses of what holds them."""
+    credit_bodies(bodies, on, change)
 
 
 @block_kernel

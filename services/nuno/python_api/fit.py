@@ -74,7 +74,10 @@ def _fit(piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float]
     fit = measure(piece.name, x, membrane, mesh, at, None if corners is None else corners.panels)
     force = sum((forces.parts[kind][start:stop] for kind in CONTACTS if kind in forces.parts), 0.0 * x)
     seams = [] if corners is None else measure_seams(x, membrane, corners)
-    return replace(fit, pressed=measure_pressure(membrane, force, normals[start:stop]), seams=seams)
+    pressed = measure_pressure(membrane, force, normals[start:stop])
+    left = fabric.mass[start:stop, None] * forces.acceleration[start:stop]  # 0 for held vertices
+    over = float(np.linalg.norm(left, axis=1).sum() / max(np.linalg.norm(force, axis=1).sum(), 1e-300))
+    return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams)
 
 
 def _normals(mesh: Mesh, closest: Any) -> Float:
@@ -258,12 +261,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class Pressed:
-    """Pressure of a garment on bodies: contact area [m^2], mean and 95th percentile there [Pa], and total force [N]."""
+    """Pressure of a garment on bodies: contact area [m^2], mean and 95th percentile there [Pa], and total force [N];
+    and what all forces on its vertices leave over, as a share of those of contact: 0 at rest.
+    """
 
     area: float
     mean: float
     high: float
     force: float
+    unbalanced: float = 0.0
 
 
 @dataclass(frozen=True)
