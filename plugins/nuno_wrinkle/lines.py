@@ -19,7 +19,7 @@ from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel
 from nuno_kernels.lanes import WIDTH
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Corners, Fabric, Float, Int
+from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.parts import Metres, Part
 from nuno_schemas.plugin import Files
 from nuno_schemas.reading import read_as
@@ -67,7 +67,12 @@ class Line(Part):
     file: str | None = Field(
         default=None, description="an OBJ file beside the scene: each of its elements l is a line, places in metres"
     )
-    height: Metres = Field(description="k, how far new vertices are raised: above 0 a ridge, below a valley [m]")
+    height: Metres = Field(description="k, how far the cloth is raised: above 0 a ridge, below a valley [m]")
+    width: Annotated[float, quantity("m", gt=0)] | None = Field(
+        default=None,
+        description="w: the rest shape is raised by k cos^2(pi d / w) at a distance d < w / 2 from the line, and no "
+        "triangle is split; a membrane and sewn cloth need it [m]",
+    )
     closed: bool = Field(default=False, description="whether it goes on from its last point to its first")
 
     @model_validator(mode="after")
@@ -178,7 +183,7 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
             continue
         path = files.resolve(line.file)
         rows = _read_strokes(path)
-        result += [Line(points=points, height=line.height, closed=line.closed) for points in rows]
+        result += [Line(points=points, height=line.height, width=line.width, closed=line.closed) for points in rows]
         if not rows:
             raise BadInput(
                 "the file holds no lines", str(path), field=f"lines[{i}].file", remedy="an element is written: l 1 2 3"
@@ -204,11 +209,8 @@ def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...],
     total, up = np.zeros((len(faces) + 1, 5)), np.zeros((len(faces), 2), np.bool_)
     chains = []
     for i, line in enumerate(lines):
-        way = (x, faces, across) if line.texture is None else _flat(fabric, across, i)
-        face, at = _locate(way[1], way[0], line, i, tolerance)
-        if line.closed:
-            face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
-        chains.append(_follow(*way, (face, at), line, i, total, up))
+        path = _follow(fabric, x, across, line, i, tolerance, (total, up))[0]
+        chains.append(np.ascontiguousarray(path[np.sort(np.unique(path, return_index=True)[1])]))
     clash = np.flatnonzero(up[:, 0] & up[:, 1])
     if clash.size:
         raise BadInput(
@@ -272,24 +274,38 @@ def _move_inwards(at: Float) -> Float:
     return np.asarray(moved / moved.sum(axis=1)[:, None])
 
 
+def trace_line(fabric: Fabric, x: Float, across: Int, line: Line, i: int, tolerance: float) -> tuple[Int, Float]:
+    """Return the triangles (q,) that a line passes, in order, and its points (q + 1, 3) [m]: its start, and where it
+    leaves each of them. Arguments are those of `follow_lines`. Raises BadInput.
+    """
+    sums = np.zeros((len(fabric.faces) + 1, 5)), np.zeros((len(fabric.faces), 2), np.bool_)
+    path, at = _follow(fabric, x, across, line, i, tolerance, sums)
+    return path, np.einsum("qc,qck->qk", at, x[fabric.faces[np.append(path[:1], path)]])
+
+
 def _follow(
-    x: Float, faces: Int, across: Int, places: tuple[Int, Float], line: Line, i: int, total: Float, up: np.ndarray
-) -> Int:
-    """Return the triangles of one line in order, each once. Raises BadInput where the line cannot be followed."""
-    face, at = places
+    fabric: Fabric, cloth: Float, around: Int, line: Line, i: int, tolerance: float, sums: tuple[Float, Bool]
+) -> tuple[Int, Float]:
+    """Return the triangles (q,) of one line in order, and the barycentric coordinates (q + 1, 3) of its start in the
+    first and of where it leaves each; `sums` are total and up of `Passed`. Raises BadInput if it cannot be followed.
+    """
+    x, faces, across = (cloth, fabric.faces, around) if line.texture is None else _flat(fabric, around, i)
+    face, at = _locate(faces, x, line, i, tolerance)
+    if line.closed:
+        face, at = np.append(face, face[:1]), np.concatenate([at, at[:1]])
     normal = face_normals(x, faces[face])
     normal[~normal.any(axis=1), 2] = 1.0
     points = np.einsum("pc,pck->pk", at, x[faces[face]])
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    total[-1, 0] = TOUCH * max(float(step.max()), 1e-300)
-    path = np.empty(2 * len(faces) + len(face), np.int32)
+    sums[0][-1, 0] = TOUCH * max(float(step.max()), 1e-300)
+    most = 2 * len(faces) + len(face)
+    path, leave = np.empty(most, np.int32), np.empty((most, 3))
     polyline = Way(face, at, points, normal, float(line.height))
-    status, point, passed = walk_line(x, faces, across, polyline, Passed(total, up, path))
+    status, point, passed = walk_line(x, faces, across, polyline, Passed(*sums, path, leave))
     if status != WAY:
         (problem, remedy), after = (
             PROBLEMS[status],
             (point + 1) % len(line.points or line.texture or line.on_faces or ()),
         )
         raise BadInput(problem, field=f"lines[{i}]", value=f"between points {point} and {after}", remedy=remedy)
-    chain = path[:passed]
-    return np.ascontiguousarray(chain[np.sort(np.unique(chain, return_index=True)[1])])
+    return path[:passed], np.concatenate([at[:1], leave[:passed]])

@@ -17,7 +17,9 @@ from nuno_wrinkle.raised import Raised, Region
 # The springs and triangles near a line, and the rules for its new springs.
 
 Rule = Literal["paper", "physical"]
-ON_SPRINGS = "draw on a mesh or a shirt of tension: springs, or on a sheet or skirt of cells: triangles"
+ON_SPRINGS = (
+    "give the line a width, or draw on a mesh or shirt of tension: springs, a sheet or skirt of cells: triangles"
+)
 
 
 def describe(fabric: Fabric) -> dict[str, float]:
@@ -137,15 +139,19 @@ def kept_rigidity(density: float, x: Float, crests: Int, n: int) -> Float:
     return np.asarray(HOLD * density * GRAVITY * float(np.ptp(x, axis=0).max()) * square[nearest])
 
 
-def most_stiffness(x: Float, quads: Int, mass: Float, pinned: Bool, springs: Springs) -> Float:
-    """Return the stiffness (h,) [N m] at which a hinge alone moves its vertices as fast as the net's springs may.
+def most_stiffness(x: Float, quads: Int, cloth: Fabric) -> Float:
+    """Return the stiffness (h,) [N m] at which a hinge alone moves its vertices as fast as the cloth's tension may.
 
     A hinge of stiffness k moves along its gradients g with omega^2 = k sum |g_c|^2 / m_c, and springs with at most 2
-    max sum_j k_j / m_i (Gershgorin). Slivers as stiff as the rest would halve the step without raising the wrinkle.
+    max sum_j k_j / m_i (Gershgorin); triangles of a membrane count as they do. Slivers as stiff as the rest would halve
+    the step without raising the wrinkle.
     """
-    free = ~pinned
-    pairs, stiffness = springs.pairs(), springs.per_spring(springs.k)
-    row = np.bincount(pairs[:, 0], stiffness, len(mass)) + np.bincount(pairs[:, 1], stiffness, len(mass))
+    free, mass, row = ~cloth.pinned, cloth.mass, np.zeros(cloth.number)
+    if (springs := cloth.springs) is not None:
+        for end in springs.pairs().T:
+            row += np.bincount(end, springs.per_spring(springs.k), len(mass))
+    if (membrane := cloth.membrane) is not None:
+        row += np.bincount(membrane.faces.reshape(-1), membrane.stiffness().reshape(-1), len(mass))
     edge = x[quads[:, 1]] - x[quads[:, 0]]
     square = np.einsum("hk,hk->h", edge, edge)
     slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))
@@ -269,9 +275,10 @@ def build_hinges(work: NetParts, springs: Springs, region: Region, kept: Float |
     stiff, folds = rigidity * shape, np.zeros(len(new_quads))
     if kept is not None:
         pinned = np.append(fabric.pinned, np.zeros(len(mass) - fabric.number, np.bool_))
+        cloth = replace(fabric, mass=mass, pinned=pinned, springs=springs)
         held = np.append(np.zeros(fabric.number), kept)[new_quads].sum(axis=1)
         held /= (new_quads >= fabric.number).sum(axis=1)
-        most = most_stiffness(raised.x, new_quads, mass, pinned, springs)
+        most = most_stiffness(raised.x, new_quads, cloth)
         stiff, folds = np.maximum(stiff, np.minimum(held * shape, most)), fold_angles(raised.x, new_quads)
         turned = near_by[any_of(work.moved, quads[near_by])]
         angle[turned] = fold_angles(raised.x, quads[turned])

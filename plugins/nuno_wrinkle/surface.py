@@ -78,6 +78,7 @@ class Passed(NamedTuple):
     total: Float
     up: Bool
     path: Int
+    leave: Float
 
 
 @kernel
@@ -115,6 +116,7 @@ def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tu
             if count == len(path):
                 return NO_WAY, p, count
             path[count] = current
+            passed.leave[count] = at[p + 1]
             count += 1
             if current == goal:
                 _count(current, entry, at[p + 1], x, faces, way.height, passed)
@@ -126,6 +128,7 @@ def walk_line(x: Float, faces: Int, across: Int, way: Way, passed: Passed) -> tu
             cut = edge_share(chord, faces[current, out], faces[current, ahead], x)
             leave[:] = 0.0
             leave[out], leave[ahead] = 1.0 - cut, cut
+            passed.leave[count - 1] = leave
             _count(current, entry, leave, x, faces, way.height, passed)
             next_face = across[current, out]
             if next_face < 0:

@@ -2,88 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
+from pydantic_core import PydanticCustomError
 
-from nuno_kernels import kernel
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Springs, State
+from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Relief, Springs, State
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
+from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.lines import Crossed, Line, Smoothing, follow_lines, on_texture, read_lines
 from nuno_wrinkle.net import ON_SPRINGS, Net, Rule, build_net, describe, find_near, find_sprung, kept_rigidity
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
+from nuno_wrinkle.relief import number_lines, raise_rest, sides_of
 from nuno_wrinkle.surface import link_faces
 
-# A wrinkle is measured across each new vertex, between its feet on either side of its line: unsmoothed vertices, or
-# where none lies between, the next line that goes the other way, as of a valley between ridges.
 
-
-@kernel
-def _nearest(x: Float, feet: Int, turn: Float, vertices: Int, own: Float, across: Float, nearest: Int) -> None:
-    """Find the feet (f,) nearest to each of `vertices` (m,) on the side that across (m, 3) points to, and on the other,
-    within 45 degrees of it. x (n, 3); turn (f,) and own (m,) are above 0 on ridges, below in valleys, and 0 elsewhere;
-    nearest (m, 2) is the result, -1 without a foot on that side.
-    """
-    for i in range(len(vertices)):
-        best_left, best_right = np.inf, np.inf
-        nearest[i, 0], nearest[i, 1] = -1, -1
-        size = 0.0
-        for k in range(3):
-            size += across[i, k] * across[i, k]
-        for j in range(len(feet)):
-            side, distance = 0.0, 0.0
-            for k in range(3):
-                component = x[feet[j], k] - x[vertices[i], k]
-                side += component * across[i, k]
-                distance += component * component
-            if turn[j] * own[i] > 0.0 or 2.0 * side * side < size * distance:
-                continue
-            if side > 0.0 and distance < best_left:
-                best_left, nearest[i, 0] = distance, feet[j]
-            if side < 0.0 and distance < best_right:
-                best_right, nearest[i, 1] = distance, feet[j]
-
-
-def find_crests(n: int, crossed: Crossed, raised: Raised) -> Int:
-    """Return vertices (5, c): new ones, the nearest feet to the left and to the right of their line, and the new ones
-    before and after them.
-
-    Ends of lines, and new vertices with feet on one side only, are left out.
-    """
+def _find_crests(n: int, crossed: Crossed, raised: Raised) -> Int:
+    """Return the crests of new vertices; feet are vertices that are not smoothed, and new ones."""
     still = np.ones(len(raised.x), np.bool_)
     still[raised.smoothed] = False
     corners = np.zeros(len(raised.x), np.bool_)
     corners[raised.faces[raised.local]] = True
     still[n:] = True
-    feet = np.flatnonzero(corners & still).astype(np.int32)
-    turn = np.append(np.zeros(n), crossed.height)
-    chains = [np.asarray(chain, np.int32) for chain in crossed.chains]
-    before, inner, after = (
-        np.concatenate([chain[part] for chain in chains]) for part in (np.s_[:-2], np.s_[1:-1], np.s_[2:])
-    )
-    along = raised.flat[n + after] - raised.flat[n + before]
-    pair = np.empty((len(inner), 2), np.int32)
-    across = np.cross(raised.normal[inner], along)
-    _nearest(raised.flat, feet, turn[feet], n + inner, crossed.height[inner], across, pair)
-    crests = np.stack([n + inner, *pair.T, n + before, n + after])
-    return np.ascontiguousarray(crests[:, (pair >= 0).all(axis=1)], np.int32)
+    chains = [np.asarray(n + chain, np.int32) for chain in crossed.chains]
+    turn, normal = np.append(np.zeros(n), crossed.height), np.concatenate([np.zeros((n, 3)), raised.normal])
+    return find_crests(raised.flat, normal, chains, turn, np.flatnonzero(corners & still).astype(np.int32))
 
 
 Length = Annotated[float, quantity("m", gt=0)]
 Tensile = Annotated[float, quantity("N/m", gt=0)]
 
 
+SPLITTING = ("smoothing", "springs", "k_std")
+"""Fields for lines without a width."""
+
+
 class WrinkleConfig(Config):
     """Lines, and the treatment of the cloth near them."""
 
-    lines: tuple[Line, ...] = Field(min_length=1, max_length=1000, description="ridges and valleys")
+    lines: tuple[Line, ...] = Field(default=(), max_length=1000, description="ridges and valleys")
+    take_back: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        default=(),
+        max_length=1000,
+        description="numbers of lines with a width whose rest shape returns to what it was without them, before others "
+        "are drawn: from 1, in the order in which lines were drawn on the object",
+    )
     tolerance: Length | Literal["auto"] = Field(
-        default="auto", description="how far from the cloth points may lie [m]; auto: the mean length of its springs"
+        default="auto", description="how far from the cloth points may lie [m]; auto: the mean length of its edges"
     )
     smoothing: Smoothing = Field(default=Smoothing(), description="of new vertices and their two-ring")
     springs: Rule = Field(
@@ -96,6 +67,26 @@ class WrinkleConfig(Config):
     keep: bool = Field(
         default=False, description="whether folds of the lines are at rest, and stiffer, so that they do not fade"
     )
+
+    @model_validator(mode="after")
+    def _suits_widths(self) -> WrinkleConfig:
+        wide = [line.width is not None for line in self.lines]
+        others = sorted(self.model_fields_set & set(SPLITTING)) if all(wide) else []
+        problem, inside = "", tuple[str | int, ...](["lines"])
+        if not (self.lines or self.take_back):
+            problem = "draw lines, or take some back: lines: [...], take_back: [1]"
+        elif any(wide) and not all(wide):
+            problem, inside = "lines with a width and without are two operations", ("lines", wide.index(False))
+        elif others:
+            problem, inside = "this is for lines without a width, which split triangles: leave it out", (others[0],)
+        if problem:
+            raise PydanticCustomError("widths", problem, {"inside": inside})
+        return self
+
+    @property
+    def raises(self) -> bool:
+        """Whether no line splits triangles."""
+        return all(line.width is not None for line in self.lines)
 
 
 class Wrinkle:
@@ -119,24 +110,17 @@ class Wrinkle:
         """Return the configuration with lines of files as points. Raises BadInput."""
         return config.model_copy(update={"lines": read_lines(config.lines, files)})
 
-    def require(self, config: WrinkleConfig, fabric: Fabric) -> None:
-        """Raise BadInput for cloth that cannot have such a line, wherever it moves."""
-        _require_triangles(fabric)
-        describe(fabric)
-        if config.keep and fabric.hinges is None:
-            remedy = "give the fabric a bending stiffness: a preset, or hinge by hand"
-            raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
-        for i, line in enumerate(config.lines):
-            if line.texture is not None:
-                on_texture(fabric, i)
-        if not find_sprung(fabric).any():
-            raise BadInput("the triangles of the cloth have no spring along an edge", field="object", remedy=ON_SPRINGS)
+    def require(self, config: WrinkleConfig, fabric: Fabric, earlier: Sequence[WrinkleConfig]) -> None:
+        """Raise BadInput for cloth that cannot have such a line, wherever it moves, after `earlier` ones, and for a
+        line that is taken back but not there.
+        """
+        _require_cloth(config, fabric)
+        for one in (*earlier, config):
+            fabric = replace(fabric, relief=number_lines(fabric, one.take_back, one.lines))
 
     def apply(self, config: WrinkleConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """Return the fabric with its lines raised at `state`. Raises BadInput without a change."""
-        self.require(config, fabric)
-        model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
-        used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
+        _require_cloth(config, fabric)
         size = float(np.linalg.norm(np.ptp(state.x, axis=0)))
         for i, line in enumerate(config.lines):
             if line.file is not None:
@@ -146,29 +130,50 @@ class Wrinkle:
                     "the line is raised further than the cloth is large", field=f"lines[{i}].height",
                     value=line.height, limit=f"{size:.4g} m", remedy="a smaller height",
                 )  # fmt: skip
+        if config.raises:
+            tolerance = None if config.tolerance == "auto" else config.tolerance
+            return raise_rest(config.lines, config.keep, config.take_back, tolerance, fabric, state)
+        relief = number_lines(fabric, config.take_back, config.lines)
+        model = dict(fabric.origin) if "r_avg" in fabric.origin else describe(fabric)
+        used = model | ({} if config.k_std == "auto" else {"k_std": config.k_std})
         across = link_faces(fabric.faces, fabric.number)
         tolerance = model["r_avg"] if config.tolerance == "auto" else config.tolerance
         crossed = follow_lines(fabric, state.x, across, config.lines, tolerance)
         region = find_region(fabric.faces, fabric.number, crossed)
         near = find_near(fabric, state.x, region)
         raised = raise_lines(fabric, state.x, across, crossed, config.smoothing, region, near.stretch)
-        crests = find_crests(fabric.number, crossed, raised)
+        crests = _find_crests(fabric.number, crossed, raised)
         kept = kept_rigidity(model["density"], raised.x, crests, fabric.number) if config.keep else None
         net = build_net(fabric, across, raised, near, region, used, config.springs, kept)
-        return _outcome(fabric, state, crossed, raised, net, model, crests)
+        return _outcome(fabric, state, crossed, raised, net, model, crests, relief)
 
 
-def _require_triangles(fabric: Fabric) -> None:
-    if fabric.corners is not None and fabric.corners.panels is not None:
-        raise BadInput("lines are not drawn on cloth that is sewn of panels", field="object")
+def _require_cloth(config: WrinkleConfig, fabric: Fabric) -> None:
+    """Raise BadInput for cloth that cannot have such lines in any state."""
     springs = fabric.springs
     if not len(fabric.faces) or fabric.yarns is not None or (springs is not None and springs.lock is not None):
         raise BadInput("lines are drawn on cloth of triangles, which this is not", field="object", remedy=ON_SPRINGS)
+    for i, line in enumerate(config.lines):
+        if line.texture is not None:
+            on_texture(fabric, i)
+    if config.raises:
+        sides_of(fabric)
+        return
+    if fabric.corners is not None and fabric.corners.panels is not None:
+        problem, remedy = "cloth that is sewn of panels keeps its triangles", "give the line a width: width: 4 cm"
+        raise BadInput(problem, field="lines[0].width", remedy=remedy)
+    describe(fabric)
+    if config.keep and fabric.hinges is None:
+        remedy = "give the fabric a bending stiffness: a preset, or hinge by hand; or the line a width"
+        raise BadInput("a wrinkle is kept by folds, and this cloth has no hinges", field="keep", remedy=remedy)
+    if not find_sprung(fabric).any():
+        raise BadInput("the triangles of the cloth have no spring along an edge", field="object", remedy=ON_SPRINGS)
 
 
 def _outcome(
-    fabric: Fabric, state: State, crossed: Crossed, raised: Raised, net: Net, model: dict[str, float], crests: Int
-) -> Outcome:
+    fabric: Fabric, state: State, crossed: Crossed, raised: Raised, net: Net, model: dict[str, float], crests: Int,
+    relief: Relief,
+) -> Outcome:  # fmt: skip
     corners = fabric.faces[crossed.face]
 
     def extended(values: Float) -> Float:
@@ -186,6 +191,7 @@ def _outcome(
         faces=raised.faces,
         springs=net.springs,
         hinges=net.hinges,
+        relief=relief,
         uv=None if fabric.uv is None else extended(fabric.uv),  # type: ignore[arg-type]
         corners=None if raised.uv is None else Corners.of(raised.faces, raised.uv),
         bindings=tuple(_extend_binding(binding, fabric, crossed) for binding in fabric.bindings),
@@ -195,6 +201,7 @@ def _outcome(
     source = np.append(np.arange(fabric.number, dtype=np.int32), np.full(m, -1, np.int32))
     facts = {
         "lines": float(len(crossed.chains)),
+        "first": float(len(relief.kind) - len(crossed.chains) + 1),
         "vertices": float(m),
         "smoothed": float(len(raised.smoothed)),
         "held": float(raised.held),

@@ -125,6 +125,33 @@ class BendingFriction:
         return BendingFriction(np.concatenate(vertices), np.concatenate(shares), area, limit, slip)
 
 
+# Lines that are drawn on cloth, and the heights by which they raise its rest shape.
+
+SPLIT, RAISED, TAKEN = 0, 1, 2
+"""Kinds of lines: one that has split triangles, one that raises the rest shape, and one that is taken back."""
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Lines drawn on a fabric, in order, and the heights by which they raise its rest shape; heights add up.
+
+    kind   (l,)   int8    SPLIT, RAISED or TAKEN
+    hinges (l,)   int32   hinges of each line whose fold is kept: the last of `Fabric.hinges`, line after line
+    line, vertex (e,)     lines and vertices with a height
+    height (e,)           [m]
+    """
+
+    kind: Annotated[NDArray[np.int8], "l", Bounds(0, 2)]
+    hinges: Annotated[Int, "l", Bounds(0)]
+    line: Annotated[Int, "e", Bounds(0, below="l")]
+    vertex: Annotated[Int, "e", Bounds(0, below="n")]
+    height: Annotated[Float, "e"]
+
+    def total(self, n: int) -> Float:
+        """Return the height of each of n vertices, shape (n,) [m]."""
+        return np.bincount(self.vertex, self.height, n).astype(np.float64)
+
+
 # Yarns of a fabric: springs that are links of yarns.
 
 
@@ -407,6 +434,7 @@ class Fabric:
                              drawing.Mesh and glTF, use (u, 1 - v) with (0, 0) at the upper left
     corners                  texture coordinates that differ along seams, instead of uv, or None
     springs, hinges, membrane, bending, friction  or None
+    relief                   lines that raise the rest shape, or None
     yarns                    springs that are links of yarns, or None
     cells (c, 4) int32       quads between points of a net, counter-clockwise seen from outside, or None: they give
                              a net without faces areas and normals
@@ -436,6 +464,7 @@ class Fabric:
     membrane: Membrane | None = None
     bending: Bending | None = None
     friction: BendingFriction | None = None
+    relief: Relief | None = None
     numbers: Annotated[Int, "n", Bounds(0, below="n")] | None = None
     merged: Annotated[Int, "g", Bounds(0, below="n")] | None = None
     corners: Corners | None = None

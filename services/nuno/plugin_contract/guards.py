@@ -202,6 +202,8 @@ def check_fabric(fabric: Fabric) -> None:
                 )
     if fabric.hinges is not None:
         check_runs("hinges", fabric.hinges, n)
+    if fabric.relief is not None and fabric.relief.hinges.sum() > (fabric.hinges.number if fabric.hinges else 0):
+        raise ContractError("relief.hinges are more than the fabric has")
     if fabric.corners is not None:
         differ = (fabric.corners.vertex[fabric.corners.faces] != fabric.faces).any(axis=1)
         if differ.any():

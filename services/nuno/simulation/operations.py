@@ -19,15 +19,17 @@ from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Loaded
 from nuno.scene.validation_errors import UNNUMBERED, explain
 from nuno_schemas.errors import BadInput, nearest
-from nuno_schemas.fabric import Binding, Fabric, Int
+from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Relief
 from nuno_schemas.operation import arranges
 from nuno_schemas.scene import Applied
 
 NAME = "add"
 """Name of an added operation's text in errors."""
 ARRAYS = ("position", "velocity", "mass", "pinned", "faces", "uv")
-PARTS = ("springs", "hinges", "membrane", "bending", "friction", "corners")
+PARTS = ("springs", "hinges", "membrane", "bending", "friction", "corners", "relief")
 """Parts of a fabric that hold arrays; any may be None."""
+ADDED = {"hinges": Hinges, "relief": Relief}
+"""Parts that operations give a fabric without them."""
 
 
 def name_of(item: str) -> str:
@@ -117,8 +119,11 @@ def fabric_from(
     try:
         parts: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
         for part in PARTS:  # panels stay as they are cut: no operation changes triangles of corners
+            values = {name.partition(".")[2]: a for name, a in arrays.items() if name.startswith(f"{part}.")}
             if (built_part := getattr(built, part)) is not None:
-                parts[part] = replace(built_part, **{name: arrays[f"{part}.{name}"] for name in arrays_of(built_part)})
+                parts[part] = replace(built_part, **{name: values[name] for name in arrays_of(built_part)})
+            elif part in ADDED and values:
+                parts[part] = ADDED[part](**values)
         bindings = tuple(
             Binding(arrays[f"bindings.{i}"].astype(np.int32), body, frame, arrays.get(f"bindings.{i}.local"))
             for i, (body, frame) in enumerate(bound)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import decode_points, encode_points
-from nuno.collision.bodies import build_bodies
+from nuno.collision.bodies import build_bodies, surface
+from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import body_distances
 from nuno.collision.messages import decode_poses
 from nuno.plugin_contract.values import ContractError, check_array
@@ -416,14 +417,22 @@ class Simulation(Stepper):
         """(5, c) for each change, the vertices of its object that measure its height: on the line, to the left and to
         the right of it, and before and after on it; c may be 0."""
         self._fabrics: list[Fabric] | None = None
-        scene = self.loaded.scene
+        scene, earlier = self.loaded.scene, dict[tuple[str, str], list[Any]]()
         names = [spec.name for spec in scene.objects]
-        for i, (applied, chosen) in enumerate(zip(scene.operations, self.loaded.operations, strict=True)):
+        for i in self._order():
+            chosen, name = self.loaded.operations[i], scene.operations[i].object or names[0]
+            before = earlier.setdefault((chosen.name, name), [])
             try:
                 if hasattr(chosen.plugin, "require"):
-                    chosen.plugin.require(chosen.config, self.parts()[names.index(applied.object or names[0])])
+                    chosen.plugin.require(chosen.config, self.parts()[names.index(name)], tuple(before))
             except BadInput as error:
                 raise self.loaded.at(f"operations[{i}]", error) from None
+            before.append(chosen.config)
+
+    def _order(self) -> list[int]:
+        """Return the numbers of the scene's operations by their times."""
+        operations = self.loaded.scene.operations
+        return sorted(range(len(operations)), key=lambda i: float(operations[i].at))
 
     def add(self, item: str) -> str:
         """Apply an operation, `wrinkle: {...}`, at once; return the text that repeats it. Raises BadInput."""
@@ -439,9 +448,8 @@ class Simulation(Stepper):
     def alter_due(self) -> bool:
         """Apply the scene's operations that are due; return whether there were any. Raises BadInput."""
         scene, before = self.loaded.scene, self.applied
-        order = sorted(range(len(scene.operations)), key=lambda i: float(scene.operations[i].at))
         names = [spec.name for spec in scene.objects]
-        for i in order[before : self.due(self.frame)]:
+        for i in self._order()[before : self.due(self.frame)]:
             name = scene.operations[i].object or names[0]
             try:
                 if not arranges(self.loaded.operations[i].plugin):  # an arrangement is built into the cloth
@@ -503,6 +511,7 @@ class Simulation(Stepper):
         changed.crests = [*self.crests, np.asarray(outcome.arrays.get("crests", np.zeros((5, 0))), np.int32)]
         try:
             changed._take(fabrics, State(x, v, self.state.t))
+            changed._require_apart((source < 0) | (x != self.state.x[source]).any(axis=1))
             if self.numbers is not None:
                 changed.numbers = keep_numbers(self.numbers, source, changed.pieces)
                 before = source[changed.numbers]
@@ -522,6 +531,30 @@ class Simulation(Stepper):
         changed.changes[-1]["measured"] = [changed.heights(len(changed.changes) - 1)]
         # A change that is refused has altered only the copy.
         vars(self).update(vars(changed))
+
+    def _require_apart(self, moved: NDArray[np.bool_]) -> None:
+        """Raise BadInput where an operation has moved vertices (n,) and the cloth there passes through cloth or a body
+        that it meets by cloth contact, which would hold it there.
+        """
+        x, faces, scene = self.state.x, self.fabric.faces, self.loaded.scene
+        if self.loaded.cloth_contact is None or not moved.any():
+            return
+        piece = np.repeat(np.arange(len(self.pieces)), [one.stop - one.start for one in self.pieces])
+        meet = np.pad(scene.meet(), (0, 1), constant_values=True)
+        meet[-1, -1] = False
+        if scene.met_bodies and self.geometry is not None and self.poses is not None:
+            solid = surface(self.geometry.of_bodies(scene.met_bodies))
+            faces, place = np.concatenate([faces, solid.faces + np.int32(len(x))]), solid.at(self.poses)
+            x, piece = np.concatenate([x, place]), np.append(piece, np.full(len(place), len(self.pieces)))
+        moved = np.append(moved, np.zeros(len(x) - len(moved), np.bool_))
+        found = find_crossings(x, mesh_of(faces))
+        through = moved[found.edges].any(axis=1) | moved[found.triangles].any(axis=1)
+        through &= meet[piece[found.edges[:, 0]], piece[found.triangles[:, 0]]]
+        if through.any():
+            remedy = "a smaller height, or a line elsewhere"
+            place = found.places[through][0].round(4).tolist()
+            value = f"{np.count_nonzero(through)} edges through triangles, one at {place} m"
+            raise BadInput("the cloth would pass through cloth or a body that it meets", value=value, remedy=remedy)
 
     def _apply(self, chosen: Chosen, fabric: Fabric, state: State) -> Outcome:
         """Return the outcome of an operation on one object, and on the body that it names. Raises BadInput."""
