@@ -15,7 +15,7 @@ from nuno_schemas.operation import Changed, Outcome
 from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.edges import any_of, edges_of, fold_angles, heron, keys_of, quads_of
 from nuno_wrinkle.lines import Line, scan_triangles, trace_line
-from nuno_wrinkle.net import GRAVITY, HOLD, most_stiffness
+from nuno_wrinkle.net import GRAVITY, most_stiffness
 from nuno_wrinkle.surface import link_faces
 
 # The rest shape at heights h.
@@ -33,6 +33,8 @@ from nuno_wrinkle.surface import link_faces
 
 FEWEST = 4.0
 """Least width of a line, in mean edges of the triangles that it raises."""
+WAVE = 0.1
+"""B / (rho g L w^2) of kept folds: a wave keeps four fifths of its height under all of the cloth (nuno_wrinkle.net)."""
 
 
 def tilt(fabric: Fabric, height: Float, sign: float = 1.0) -> Fabric:
@@ -137,7 +139,7 @@ def keep_folds(fabric: Fabric, across: Int, x: Float, vertices: Int, width: floa
     area, length = heron(side), np.zeros(len(edges.key))
     length[edges.of_face] = side
     row, total = edges.rows(keys_of(quads[:, :2]))[0], np.bincount(edges.of_face.reshape(-1), np.repeat(area, 3))
-    load = HOLD * GRAVITY * float(fabric.mass.sum() / area.sum() * np.ptp(x, axis=0).max())
+    load = WAVE * GRAVITY * float(fabric.mass.sum() / area.sum() * np.ptp(x, axis=0).max())
     stiff, most = load * (width * length[row]) ** 2 / total[row], most_stiffness(x, quads, fabric)
     one = np.ones(len(quads), np.int32)
     return Hinges(quads, one, one, np.minimum(stiff, most), fold_angles(x, quads))
