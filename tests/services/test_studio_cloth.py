@@ -21,7 +21,7 @@ from nuno.runtime.supervisor import control
 from nuno.scene import scene_file, shipped
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno.studio.live_view import see_scene
+from nuno.studio.live_view import see_objects
 from nuno.studio.server import Refused, page_files
 from nuno_schemas.colour import CONTROL
 from nuno_schemas.errors import BadInput
@@ -53,7 +53,7 @@ def test_a_start_is_that_of_the_text_and_nothing_is_run_for_it(desk: Desk) -> No
     first = see(desk, SHEET)
     Path("other.yaml").write_text(text := SHEET.replace("[9, 9]", "[5, 7]"))
     other = see(desk, text)
-    sight, _ = see_scene(scene_file.read(Path("other.yaml")))
+    sight = see_objects(scene_file.read(Path("other.yaml")))[0]
     frame = start(desk, other["number"])
     assert np.array_equal(frame["x"].reshape(-1, 3), (sight.x - frame["origin"]).astype(np.float32))
     assert np.array_equal(frame["faces"].reshape(-1, 3), sight.faces) and frame["state"] == "start"

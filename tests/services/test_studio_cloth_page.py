@@ -14,7 +14,7 @@ from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 from nuno.scene import scene_file
 from nuno.studio import cloth
 from nuno.studio.desk import Desk
-from nuno.studio.live_view import see_scene
+from nuno.studio.live_view import see_objects
 from nuno.studio.server import Server
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
@@ -58,7 +58,7 @@ def test_the_start_of_the_text_is_shown_without_a_run_and_changes_with_it(
     page: Page, served: tuple[Desk, Server]
 ) -> None:
     look_at_cloth(page, served[1])
-    sight, _ = see_scene(scene_file.read(Path(FILE)))
+    sight = see_objects(scene_file.read(Path(FILE)))[0]
     assert np.allclose(shown(page), sight.x, atol=1e-6) and painted(page) > 5000
     number = page.value(f"{VIEW}.built.length")
     page.value("document.getElementById('text').focus(); document.getElementById('text').setSelectionRange(0, 1e6)")

@@ -18,7 +18,7 @@ import nuno
 from nuno.scene import scene_file, shipped
 from nuno.studio import scenes
 from nuno.studio.dye import at_start
-from nuno.studio.live_view import see_scene
+from nuno.studio.live_view import see_objects
 from nuno.studio.server import Server
 from nuno_schemas.dye import Cells
 from nuno_schemas.fabric import Float
@@ -188,7 +188,7 @@ def test_a_dab_on_a_garment_is_where_the_solver_has_that_place_of_it(
     resist = "    resist:\n      - {kind: shibori, pattern: {pattern: seigaiha, radius: 1.8 mm}}\n"
     assert resist in text
     Path("skirt.yaml").write_text(text.replace(resist, ""))
-    _, fabric = see_scene(loaded)
+    fabric = see_objects(loaded)[1]
     with studio() as (_, server):
         paint(page, server, "skirt.yaml")
         page.click("paint-garment")

@@ -15,7 +15,7 @@ from nuno.scene.edit import put
 from nuno.scene.override import apply_override, item_at
 from nuno.studio.desk import Desk
 from nuno.studio.draw import require_lines
-from nuno.studio.live_view import see_scene
+from nuno.studio.live_view import see_objects
 from nuno.studio.scenes import MARK, read_text
 from nuno.studio.server import serving
 from nuno_schemas.errors import BadInput
@@ -79,7 +79,7 @@ def open_desk(args: argparse.Namespace) -> tuple[Desk, str]:
 def _open(desk: Desk, path: Path, overrides: list[str], roots: list[Path]) -> str:
     """Add a scene to the page; return its name there. Raises BadInput for one that takes no lines."""
     loaded = scene_file.read(path, overrides, roots)
-    require_lines(loaded, see_scene(loaded)[1])
+    require_lines(loaded, see_objects(loaded)[2])
     scenes = desk.scenes
     names = {file.resolve(): name for name, file in scenes.paths().items()}
     entry = names.get(path.resolve(), path.name if path.name not in names.values() else str(path))

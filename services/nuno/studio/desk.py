@@ -382,17 +382,17 @@ class Desk:
     def _draw(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out a request about lines on the shown cloth, by `nuno.studio.lines`. Raises BadInput."""
         action = request.get("does")
-        if action in ("begin", "check"):
-            getattr(self._drawing, action)(request)
-            return {}
-        if action in ("export", "apply"):
-            answer: dict[str, Any] = getattr(self._drawing, action)(request, self._own)
+        if action in ("begin", "check", "export", "apply", "take_back"):
+            of_run = () if action in ("begin", "check") else (self._own,)
+            answer: dict[str, Any] = getattr(self._drawing, action)(request, *of_run)
             return answer
         if action != "keep":
-            raise BadInput("no such request", value=action, limit="begin, check, keep, apply, export")
+            raise BadInput("no such request", value=action, limit="begin, check, keep, apply, take_back, export")
         text, path = self._text(request)
-        after = self._drawing.keep(request, text, lambda changed: scenes.load(changed, path, self.scenes.roots))
-        return {"text": after} | self._checked(after, path)
+        after, numbers = self._drawing.keep(
+            request, text, lambda changed: scenes.load(changed, path, self.scenes.roots)
+        )
+        return {"text": after, "numbers": numbers} | self._checked(after, path)
 
 
 def _read(kind: str, find: Callable[[], Path]) -> tuple[str, bytes]:

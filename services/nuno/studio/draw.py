@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -40,8 +41,11 @@ def as_operations(lines: Lines, settings: object) -> list[dict[str, Any]]:
     except ValidationError:
         raise BadInput("these are no settings of lines", field="settings", remedy="load the page again") from None
     smoothing: dict[str, Any] = {"passes": chosen.passes} | ({"hierarchical": True} if chosen.hierarchical else {})
-    more: dict[str, Any] = {"smoothing": smoothing} | ({"keep": True} if chosen.keep else {})
-    return [{"plugin": OPERATION, "object": name, **more, "lines": rows} for name, rows in lines.items()]
+    keep: dict[str, Any] = {"keep": True} if chosen.keep else {}
+    return [
+        {"plugin": OPERATION, "object": name, **({} if "width" in rows[0] else {"smoothing": smoothing}), **keep,
+         "lines": rows} for name, rows in lines.items()
+    ]  # fmt: skip
 
 
 def as_items(lines: Lines, settings: object) -> list[str]:
@@ -71,8 +75,9 @@ class Trial:
 
 def with_lines(
     text: str, file: str, base: Sight, lines: Mapping[bool, Lines], settings: object, load: Callable[[str], Loaded]
-) -> str:
-    """Return a scene's text with lines added to it, and everything else unchanged. Raises BadInput.
+) -> tuple[str, dict[str, int]]:
+    """Return a scene's text with lines added to it, and everything else unchanged, and the number of the first of them
+    on each object. Raises BadInput.
 
     Lines that are the first operation are given by triangles of `base` (`lines[True]`); after other operations, by
     positions on the cloth at the start (`lines[False]`).
@@ -89,7 +94,12 @@ def with_lines(
         trial = Trial(loaded, fabrics)
         for operation in operations:
             trial.apply(operation)
-    return after
+    count, pairs = dict.fromkeys(lines[first], 1), zip(loaded.scene.operations, loaded.operations, strict=True)
+    for applied, chosen in list(pairs)[: -len(operations)]:
+        name = applied.object or loaded.scene.objects[0].name
+        if chosen.name == OPERATION and applied.at == 0.0 and name in count:
+            count[name] += len(getattr(chosen.config, "lines", ()))
+    return after, count
 
 
 # Conversion of lines from the page to the forms of scenes, runs and files.
@@ -111,6 +121,8 @@ class Stroke(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     points: list[tuple[Face, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
     height: float = Field(allow_inf_nan=False)
+    width: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    """[m]; None for a line that splits triangles."""
     closed: bool = False
     """Whether the last point is joined to the first."""
 
@@ -129,6 +141,9 @@ def read_strokes(data: object, sight: Sight) -> list[Stroke]:
             raise BadInput("this is no line", field=f"lines[{i}]", remedy="draw it again") from None
         _check(stroke, i, sight)
         strokes.append(stroke)
+        if (stroke.width is None) != (strokes[0].width is None):
+            remedy = "give all a width, or none"
+            raise BadInput("lines with a width and without are drawn apart", field=f"lines[{i}].width", remedy=remedy)
     return strokes
 
 
@@ -166,6 +181,12 @@ def faces_of(piece: Piece, sight: Sight) -> Int:
     """Return the numbers of a piece's triangles in the whole cloth, ascending."""
     first = sight.faces[:, 0]
     return np.flatnonzero((first >= piece.start) & (first < piece.stop)).astype(np.int32)
+
+
+def numbered(which: Mapping[str, list[int]], first: Mapping[str, int]) -> list[tuple[str, int]]:
+    """Return object and number of each line, whose numbers on each object are consecutive from `first`."""
+    places = {i: (name, first[name] + k) for name, rows in which.items() for k, i in enumerate(rows)}
+    return [places[i] for i in sorted(places)]
 
 
 def line_at(strokes: Sequence[Stroke], piece: Piece, triangle: int, sight: Sight) -> int:
@@ -216,7 +237,8 @@ def _as_line(stroke: Stroke, piece: Piece, sight: Sight) -> dict[str, Any]:
 
 
 def _properties(stroke: Stroke) -> dict[str, Any]:
-    return {"height": round(stroke.height, MICRON)} | ({"closed": True} if stroke.closed else {})
+    width = {} if stroke.width is None else {"width": round(stroke.width, MICRON)}
+    return {"height": round(stroke.height, MICRON)} | width | ({"closed": True} if stroke.closed else {})
 
 
 def _on_face(face: int, at: Float) -> dict[str, Any]:
@@ -242,23 +264,24 @@ def to_obj(strokes: Sequence[Stroke], sight: Sight) -> str:
 
 # Requirements of cloth for drawing lines.
 
-STRUCTURAL = 0
-"""Kind of the springs along the cloth's threads (nuno_schemas.fabric.Springs)."""
 
+def require_lines(loaded: Loaded, fabrics: Sequence[Fabric]) -> dict[str, Any]:
+    """Return whether lines on some of the cloth need a width, and the mean edge of its triangles at the start [m].
+    Raises BadInput for cloth that cannot have lines.
+    """
+    plugin, line = registry.load("nuno.operations", OPERATION), {"points": [[0, 0, 0], [1, 0, 0]], "height": 0.1}
+    configs = [plugin.Config.model_validate({"lines": [line | more]}) for more in ({}, {"width": 1.0})]
 
-def require_lines(loaded: Loaded, fabric: Fabric) -> None:
-    """Raise BadInput for cloth on which lines are impossible: they need springs along edges of its triangles."""
-    if not len(fabric.faces):
-        remedy = "draw on a sheet, a skirt or a mesh; a net of yarns has no surface"
-        raise loaded.at("objects[0].model", BadInput("cloth without triangles cannot be drawn on", remedy=remedy))
-    springs = fabric.springs
-    count = fabric.number
-    structural = np.zeros((0, 2), np.int64)
-    if springs is not None:
-        structural = springs.pairs()[springs.of_kind(STRUCTURAL)].astype(np.int64)
-    keys = np.sort(structural, axis=1) @ np.array([count, 1])
-    edges = np.sort(np.stack([fabric.faces, np.roll(fabric.faces, -1, axis=1)], axis=2).astype(np.int64), axis=2)
-    if not np.isin(edges @ np.array([count, 1]), keys).all(axis=1).any():
-        remedy = "give a mesh or a shirt tension: springs, a sheet or skirt cells: triangles"
-        problem = "lines cannot be drawn on this cloth: it has no springs along the edges of its triangles"
-        raise loaded.at("objects[0].model", BadInput(problem, remedy=remedy))
+    def refusal(config: Any, fabric: Fabric) -> BadInput | None:
+        try:
+            plugin.require(config, fabric, ())
+        except BadInput as error:
+            return replace(error, field=None)
+        return None
+
+    found = [[refusal(config, fabric) for config in configs] for fabric in fabrics]
+    if (first := next((wide for _, wide in found if wide is not None), None)) and all(wide for _, wide in found):
+        raise loaded.at("objects[0].model", first)
+    sides = [fabric.position[fabric.faces] - fabric.position[np.roll(fabric.faces, 1, axis=1)] for fabric in fabrics]
+    edge = float(np.linalg.norm(np.concatenate(sides), axis=2).mean())
+    return {"needs_width": any(plain and not wide for plain, wide in found), "edge": edge}

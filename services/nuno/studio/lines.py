@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -49,12 +50,12 @@ class Drawing:
     def __init__(self, starts: Starts) -> None:
         self._starts = starts
 
-    def begin(self, request: Mapping[str, Any]) -> None:
-        """Raise BadInput for a start whose cloth cannot have lines."""
+    def begin(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what lines on a start need, by `require_lines`. Raises BadInput."""
         start = self._start(request)
-        require_lines(start.loaded, start.fabric)
+        return require_lines(start.loaded, start.objects)
 
-    def check(self, request: Mapping[str, Any]) -> None:
+    def check(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Apply lines to a copy of the cloth at its start. Raises BadInput for the first line that is impossible."""
         start = self._start(request)
         strokes, sight = read_strokes(request.get("lines"), start.sight), start.sight
@@ -64,13 +65,16 @@ class Drawing:
                 start.trial.apply(operation)
             except BadInput as error:
                 raise name_line(error, strokes, which, sight) from None
+        return {}
 
-    def keep(self, request: Mapping[str, Any], text: str, load: Load) -> str:
-        """Return a text with lines that were drawn on a start. Raises BadInput."""
+    def keep(self, request: Mapping[str, Any], text: str, load: Load) -> tuple[str, list[tuple[str, int]]]:
+        """Return a text with lines that were drawn on a start, and the object and number of each. Raises BadInput."""
         start = self._start(request)
         strokes = read_strokes(request.get("lines"), start.sight)
         lines = {exact: by_object(strokes, start.sight, exact) for exact in (True, False)}
-        return draw.with_lines(text, start.loaded.path.name, start.sight, lines, request.get("settings"), load)
+        name, settings = start.loaded.path.name, request.get("settings")
+        after, first = draw.with_lines(text, name, start.sight, lines, settings, load)
+        return after, draw.numbered(pieces_of(strokes, start.sight), first)
 
     def export(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
         """Return the lines as the text of an OBJ file, which the browser saves. Raises BadInput."""
@@ -79,24 +83,35 @@ class Drawing:
         return {"name": f"{name}-lines.obj", "text": to_obj(read_strokes(request.get("lines"), sight), sight)}
 
     def apply(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
-        """Add lines to the run, object by object; return the numbers of the applied lines, and the first error."""
+        """Add lines to the run, object by object; return which are applied, with the object and number of each, and the
+        first error.
+        """
         sight = _sight(run, request)
         assert run is not None and run.live is not None
         strokes = read_strokes(request.get("lines"), sight)
         refused: dict[str, Any] = {}
-        applied: list[int] = []
-        for which in pieces_of(strokes, sight).values():
+        applied, numbers = list[int](), list[tuple[str, int]]()
+        for name, which in pieces_of(strokes, sight).items():
             (item,) = draw.as_items(by_object([strokes[i] for i in which], sight), request.get("settings"))
             try:
-                run.control("add", item=item)
+                answer = run.control("add", item=item)
             except BadInput as error:
                 refused = {"ok": False} | describe(name_line(error, strokes, which, sight))
                 break
             applied += which
+            numbers += draw.numbered({name: which}, {name: int(answer["new"]["first"])})
         if run.live.follower is not None:
             with contextlib.suppress(RunFailed, BadMessage):
                 run.live.follower.see()
-        return {"applied": applied} | refused
+        return {"applied": applied, "numbers": numbers} | refused
+
+    def take_back(self, request: Mapping[str, Any], run: Run | None) -> dict[str, Any]:
+        """Take a line back from the run, by its object and number. Raises BadInput."""
+        if run is None:
+            raise BadInput("no run goes on", remedy="start one with Run")
+        fields = {"object": request.get("object"), "take_back": [request.get("number")]}
+        run.control("add", item=f"{draw.OPERATION}: {json.dumps(fields)}")
+        return {}
 
     def _start(self, request: Mapping[str, Any]) -> Start:
         number = request.get("start")

@@ -47,11 +47,6 @@ def size_of(x: Float) -> float:
     return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 1.0
 
 
-def see_scene(loaded: Loaded) -> tuple[Sight, Fabric]:
-    """Return a scene's cloth at the start, and its fabric. Raises BadInput for a scene without cloth."""
-    return see_objects(loaded)[:2]
-
-
 def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
     """Return a scene's cloth at the start, its fabric, and each object's. Raises BadInput for a scene without cloth."""
     if not loaded.scene.moves:

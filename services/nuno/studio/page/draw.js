@@ -14,7 +14,7 @@ const $ = (id) => document.getElementById(`draw-${id}`);
 /** The mode of the cloth's view in which ridges and valleys are drawn on it by hand. */
 export class Draw {
   constructor(cloth) {
-    Object.assign(this, { cloth, lines: cloth.lines, on: false, wanted: false, kind: "ridge", height: 0.01, span: 0.1, written: null, kept: [] });
+    Object.assign(this, { cloth, lines: cloth.lines, on: false, wanted: false, kind: "ridge", height: 0.01, width: null, needs: null, span: 0.1, written: null, kept: [] });
     this.box = this.build();
     this.labels = make("div", { id: "draw-labels", ariaLive: "polite", hidden: true });
   }
@@ -39,6 +39,8 @@ export class Draw {
         make("div", { className: "kinds", role: "radiogroup", ariaLabel: "Kind of line" }, kind("ridge"), kind("valley")),
         make("label", { className: "row" }, "Height ", make("span", {}, make("input", { type: "number", id: "draw-height", min: "0.1", step: "any", inputMode: "decimal", onchange: (e) => this.setHeight(e.target.value > 0 ? e.target.value / 1000 : this.height) }), " mm")),
         make("input", { type: "range", id: "draw-slider", min: "0", max: "1", step: "0.001", ariaLabel: "Height of the line", oninput: (e) => this.setHeight(Math.max(1e-4, Number((this.span * e.target.value ** 2).toPrecision(2)))) }),
+        make("label", { className: "row", title: "The rest shape is raised as far on both sides, and can be taken back; without a width triangles are split" }, "Width ",
+          make("span", {}, make("input", { type: "number", id: "draw-width", min: "0.1", step: "any", inputMode: "decimal", placeholder: "none", onchange: (e) => this.setWidth(e.target.value > 0 ? e.target.value / 1000 : null) }), " mm")),
         make("label", { className: "row" }, "Smoothing ", make("span", {}, make("output", { id: "draw-passes-said", textContent: "8" }), " passes")),
         make("input", { type: "range", id: "draw-passes", min: "0", max: "40", step: "1", value: "8", ariaLabel: "Smoothing", oninput: (e) => { $("passes-said").textContent = e.target.value; } }),
         check("sharp", "Keep the line itself sharp"), check("keep", "Keep from fading"),
@@ -53,7 +55,11 @@ export class Draw {
 
   /** Enter or leave the mode, where the cloth takes lines. */
   async toggle(on = !this.on) {
-    if (on && this.cloth.number && !taken(await ask("draw", { does: "begin", start: this.cloth.number }))) return;
+    if (on && this.cloth.number) {
+      const answer = await ask("draw", { does: "begin", start: this.cloth.number });
+      if (!taken(answer)) return;
+      this.needs = answer.needs_width ? answer : null;
+    }
     this.on = on;
     this.box.hidden = this.labels.hidden = !on;
     document.getElementById("cloth-draw").setAttribute("aria-pressed", String(on));
@@ -61,7 +67,7 @@ export class Draw {
     this.stage.aside = on && matchMedia("(min-width: 901px)").matches ? ASIDE : 0;
     requestAnimationFrame(() => this.stage.fit());
     if (!on) return;
-    this.panel ??= new Panel(this.lines, this.stage, () => this.edited());
+    this.panel ??= new Panel(this.lines, this.stage, () => this.edited(), (line) => this.takeBack(line));
     this.stage.onpaint = () => this.panel.labels();
     this.scale();
     this.choose(this.kind);
@@ -73,6 +79,14 @@ export class Draw {
   scale() {
     this.span = Number((this.stage.camera.size * 0.12).toPrecision(1));
     this.setHeight(Number((this.stage.camera.size * 0.025).toPrecision(1)));
+    this.setWidth(null);
+  }
+
+  /** The width of lines; cloth that needs one has six edges of its triangles and four heights at least, unless told otherwise. */
+  setWidth(metres) {
+    this.width = metres ?? (this.needs ? Number(Math.max(6 * this.needs.edge, 4 * this.height).toPrecision(2)) : null);
+    $("width").value = this.width ? mm(this.width) : "";
+    for (const id of ["passes", "sharp"]) $(id).disabled = this.width !== null;
   }
 
   changed() {
@@ -104,7 +118,7 @@ export class Draw {
   /** Ask for something about lines, by their places on what is shown, or on the start. */
   ask(does, list, of, more = {}) {
     const { cloth } = this, start = of === "base" || cloth.frame.state === "start";
-    const lines = list.map((line) => ({ points: this.lines.placesOf(line.id)[of], height: line.kind === "ridge" ? line.height : -line.height, closed: line.closed }));
+    const lines = list.map((line) => ({ points: this.lines.placesOf(line.id)[of], height: line.kind === "ridge" ? line.height : -line.height, width: line.width, closed: line.closed }));
     const settings = { passes: Number($("passes").value), hierarchical: $("sharp").checked, keep: $("keep").checked };
     return ask("draw", { does, lines, settings, ...(start ? { start: cloth.number } : { run: cloth.live, shape: this.stage.shape }), ...more });
   }
@@ -136,10 +150,19 @@ export class Draw {
       return this.apply(false);
     }
     const ids = (answer.applied ?? []).map((i) => list[i].id);
-    if (ids.length) lines.settle(ids);
+    if (ids.length) lines.settle(ids, answer.numbers);
     if (answer.ok) toast(ids.length === 1 ? "The line is in the cloth" : `${ids.length} lines are in the cloth`);
     else this.refused(answer, list);
     return this.changed();
+  }
+
+  /** Take a line back from the cloth of the run. */
+  async takeBack(line) {
+    const [object, number] = this.lines.numbers.get(line.id);
+    if (!taken(await ask("draw", { does: "take_back", object, number }))) return;
+    this.lines.takenBack(line.id);
+    toast("The line is taken back", "The cloth returns to its shape without it.");
+    this.changed();
   }
 
   /** The text with all lines in it: those that were added before are not in it twice. */
@@ -161,7 +184,7 @@ export class Draw {
   async run() {
     const found = await this.text();
     if (!found || !(await this.cloth.scene.run(false, found.answer.text))) return;
-    this.lines.settle(this.lines.open.map(({ id }) => id));
+    this.lines.settle(this.lines.list.map(({ id }) => id), found.answer.numbers);
   }
 
   /** Put the lines into the text, in the place of those that were put there before. */
@@ -196,7 +219,7 @@ export class Draw {
 
   drawn(pieces) {
     if (!pieces.length) { toast("That was too short for a line", "Keep the button down and drag over the cloth."); return; }
-    for (const { points, closed } of pieces) this.panel.chosen = this.lines.add(this.kind, this.height, points, this.stage.basePlaces(points), closed);
+    for (const { points, closed } of pieces) this.panel.chosen = this.lines.add(this.kind, this.height, this.width, points, this.stage.basePlaces(points), closed);
     if (pieces.length > 1) toast(`The line left the cloth: it is ${pieces.length} lines now`, "Undo takes them back, one after the other.");
     this.edited();
   }

@@ -1,12 +1,12 @@
 /** The lines drawn, what can be undone, and what was said of each.
 
-  A line is { id, kind, height, closed }; closed is one that ends where it began. Of its places, points are places [face, u, v] on the cloth as it is shown; base the same
+  A line is { id, kind, height, width, closed }; width is null for one that splits triangles, and closed is one that ends where it began. Of its places, points are places [face, u, v] on the cloth as it is shown; base the same
   on the cloth as the scene begins, which is what its text is about, or null where there is no such. Places belong to an id and are shared by
   all states that can be gone back to; kind and height are each state's own.
 */
 export class Lines {
   constructor() {
-    Object.assign(this, { list: [], past: [], future: [], places: new Map(), hidden: new Set(), applied: new Set(), errors: new Map(), next: 1 });
+    Object.assign(this, { list: [], past: [], future: [], places: new Map(), hidden: new Set(), applied: new Set(), errors: new Map(), numbers: new Map(), next: 1 });
   }
 
   /** Lines still to be applied, in their order. */
@@ -20,10 +20,10 @@ export class Lines {
     this.list = list;
   }
 
-  add(kind, height, points, base, closed = false) {
+  add(kind, height, width, points, base, closed = false) {
     const id = this.next++;
     this.places.set(id, { points, base });
-    this.change([...this.list, { id, kind, height, closed }]);
+    this.change([...this.list, { id, kind, height, width, closed }]);
     return id;
   }
 
@@ -39,9 +39,15 @@ export class Lines {
   undo() { if (this.past.length) { this.future.push(this.list); this.list = this.past.pop(); } }
   redo() { if (this.future.length) { this.past.push(this.list); this.list = this.future.pop(); } }
 
-  /** What is in the cloth cannot be undone there. */
-  settle(ids) {
-    for (const id of ids) { this.applied.add(id); this.errors.delete(id); }
+  /** What is in the cloth cannot be undone there, but taken back by its object and number in the run. */
+  settle(ids, numbers) {
+    ids.forEach((id, i) => { this.applied.add(id); this.errors.delete(id); this.numbers.set(id, numbers[i]); });
+    this.past = []; this.future = [];
+  }
+
+  /** A line is no longer in the cloth. */
+  takenBack(id) {
+    this.list = this.list.filter((line) => line.id !== id);
     this.past = []; this.future = [];
   }
 

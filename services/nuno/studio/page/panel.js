@@ -4,7 +4,7 @@ export const mm = (metres) => String(Number((1000 * metres).toPrecision(3)));
 
 /** The list of lines, and what was said of them beside the list and on the cloth. */
 export class Panel {
-  constructor(lines, stage, changed) { Object.assign(this, { lines, stage, changed, chosen: 0 }); }
+  constructor(lines, stage, changed, takeBack) { Object.assign(this, { lines, stage, changed, takeBack, chosen: 0 }); }
 
   show() {
     const { lines } = this, open = lines.open.length;
@@ -32,7 +32,9 @@ export class Panel {
       make("button", { title: off ? "Show" : "Hide", ariaLabel: `${off ? "Show" : "Hide"} ${name}`, textContent: off ? "○" : "●",
         onclick: () => { if (off) lines.hidden.delete(line.id); else lines.hidden.add(line.id); this.changed(); } }),
       applied
-        ? make("span", { className: "applied", textContent: "applied" })
+        ? line.width
+          ? make("button", { className: "link", title: "The cloth returns to its shape without it", ariaLabel: `Take back ${name}`, textContent: "take back", onclick: () => this.takeBack(line) })
+          : make("span", { className: "applied", textContent: "applied" })
         : make("button", { title: "Remove", ariaLabel: `Remove ${name}`, textContent: "✕", onclick: () => { lines.remove(line.id); this.changed(); } }));
     const row = make("li", { className: line.id === this.chosen ? "chosen" : "" }, head);
     if (error) row.append(this.error(error));
