@@ -159,9 +159,9 @@ def _require_cloth(config: WrinkleConfig, fabric: Fabric) -> None:
     if config.raises:
         sides_of(fabric)
         return
-    if fabric.corners is not None and fabric.corners.panels is not None:
-        problem, remedy = "cloth that is sewn of panels keeps its triangles", "give the line a width: width: 4 cm"
-        raise BadInput(problem, field="lines[0].width", remedy=remedy)
+    if fabric.membrane is not None or (fabric.corners is not None and fabric.corners.panels is not None):
+        problem = "a membrane and sewn cloth keep their triangles, which a line without a width would split"
+        raise BadInput(problem, field="lines[0].width", remedy=ON_SPRINGS)
     describe(fabric)
     if config.keep and fabric.hinges is None:
         remedy = "give the fabric a bending stiffness: a preset, or hinge by hand; or the line a width"

@@ -234,7 +234,7 @@ def test_kept_folds_are_at_rest_as_raised_and_no_faster_than_the_cloth() -> None
         (LINE | {"points": [[0.3, 0.5, 0.4], [0.6, 0.5, 0.4]]}, {}, "lines[0].points[0]"),
         (LINE | {"points": [[0.3, 0.5, 0.0], [0.6, 1.2, 0.0]]}, {}, "lines[0].points[1]"),
         (LINE, {"take_back": [1]}, "take_back[0]"),
-        (LINE | {"width": None}, {}, "k_std"),
+        (LINE | {"width": None}, {}, "lines[0].width"),
         (LINE | {"height": 2.0}, {}, "lines[0].height"),
     ],
 )

@@ -96,12 +96,15 @@ def test_it_comes_to_rest_in_balance(tmp_path: Path) -> None:
     assert nuno.run(scene).report["rested"]
 
 
-def test_lines_ask_for_springs(tmp_path: Path) -> None:
+def test_lines_ask_for_a_width_or_springs(tmp_path: Path) -> None:
     operations = [{"plugin": "wrinkle", "at": 0.0, "lines": [LINE]}]
     refused = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.05, operations=operations)
-    with pytest.raises(BadInput, match="no structural springs") as caught:
+    with pytest.raises(BadInput, match="keep their triangles") as caught:
         nuno.run(refused)
-    assert "tension: springs" in str(caught.value)
+    assert caught.value.field == "operations[0].lines[0].width"
+    raised = [{"plugin": "wrinkle", "lines": [LINE | {"width": 0.2}]}]
+    wide = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.05, operations=raised)
+    assert nuno.run(wide).report["changes"]
     drawn = write_scene(tmp_path, objects=[cloth(tmp_path, tension="springs")], duration=0.05, operations=operations)
     assert nuno.run(drawn).report["changes"]
 
