@@ -135,8 +135,9 @@ class Arrangement(Operation, Protocol):
 class Alteration(Operation, Protocol):
     """An operation that changes the fabric, and may be applied during a simulation.
 
-    It may have a method `require(config, fabric)`, which raises BadInput for a fabric that it cannot change in any
-    state: a run is then refused before it starts.
+    It may have a method `require(config, fabric, earlier)`, which raises BadInput for a fabric that it cannot change in
+    any state, after the operations of the same name on the object with the configurations `earlier`: a run is then
+    refused before it starts.
     """
 
     def compile(self) -> None:

@@ -101,7 +101,7 @@ def test_lines_ask_for_a_width_or_springs(tmp_path: Path) -> None:
     refused = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.05, operations=operations)
     with pytest.raises(BadInput, match="keep their triangles") as caught:
         nuno.run(refused)
-    assert caught.value.field == "operations[0].lines[0].width"
+    assert "operations[0].lines[0].width" in str(caught.value)
     raised = [{"plugin": "wrinkle", "lines": [LINE | {"width": 0.2}]}]
     wide = write_scene(tmp_path, objects=[cloth(tmp_path)], duration=0.05, operations=raised)
     assert nuno.run(wide).report["changes"]

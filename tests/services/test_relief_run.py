@@ -118,7 +118,7 @@ def test_a_line_over_a_seam_is_replayed_and_resumed_in_the_same_bits_by_any_solv
     assert drawn["mass"] > 0.0 and taken["mass"] == pytest.approx(-drawn["mass"], rel=1e-9)
     with nuno.open(whole.path) as recording:
         assert verify(recording).frame is None
-    for cut in (0.08, 0.16):
+    for cut in (0.12, 0.16):
         part = nuno.run(scene, f"duration={cut}", record=tmp_path / "part.mcap")
         options = Options(record=tmp_path / "on.mcap", resume=part.path)
         assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] == whole.digest
