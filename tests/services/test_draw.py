@@ -224,13 +224,16 @@ def test_a_file_and_a_shipped_scene_stay_as_they_are_until_they_are_saved(desk: 
 
 
 def test_cloth_that_lines_cannot_be_raised_on_is_refused_before_anything_is_drawn(desk: Desk) -> None:
-    draw(desk, "begin", start=see(desk))
+    found = draw(desk, "begin", start=see(desk))
+    assert not found["needs_width"] and found["edge"] == pytest.approx((2.0 + np.sqrt(2.0)) / 36.0)
     quads = SHEET.replace("cells: triangles, ", "")
-    with pytest.raises(BadInput, match="edges of its triangles") as refused:
-        draw(desk, "begin", start=see(desk, quads))
-    assert refused.value.field == "objects[0].model" and "cells: triangles" in refused.value.remedy
-    Path(FILE).write_text(quads)
-    with pytest.raises(BadInput, match="edges of its triangles"):
+    assert draw(desk, "begin", start=see(desk, quads))["needs_width"]
+    bare = quads.replace("fabric: denim", "fabric: {density: 0.2, structural: 20}")
+    with pytest.raises(BadInput, match="edge of its triangles") as refused:
+        draw(desk, "begin", start=see(desk, bare))
+    assert refused.value.field == "objects[0].model" and refused.value.remedy
+    Path(FILE).write_text(bare)
+    with pytest.raises(BadInput, match="edge of its triangles"):
         open_desk(Namespace(scene=FILE, overrides=[], root=[], config=None))
 
 
@@ -240,6 +243,52 @@ def test_lines_that_could_not_be_raised_do_not_go_into_the_text(desk: Desk) -> N
     line = LINE | {"points": [[288, 0.2, 0.3], [290, 0.3, 0.3]]}
     with pytest.raises(BadInput, match="no spring along an edge"):
         keep(desk, see(desk, two), [line], two)
+
+
+def test_lines_with_a_width_are_numbered_by_object_behind_those_of_the_text(desk: Desk) -> None:
+    wide = LINE | {"width": 0.5}
+    quads = SHEET.replace("cells: triangles, ", "")
+    start = see(desk, quads)
+    draw(desk, "check", start=start, lines=[wide])
+    settings = {"passes": 3, "keep": True}
+    first = draw(desk, "keep", start=start, lines=[wide, wide], text=quads, scene=FILE, settings=settings)
+    assert first["numbers"] == [("cloth", 1), ("cloth", 2)]
+    (operation,) = operations(first["text"])
+    assert operation["keep"] is True and "smoothing" not in operation and operation["lines"][0]["width"] == 0.5
+    again = see(desk, first["text"])
+    second = draw(desk, "keep", start=again, lines=[wide], text=first["text"], scene=FILE)
+    assert second["numbers"] == [("cloth", 3)]
+    for lines, field in (([wide, LINE], "lines[1].width"), ([wide | {"width": 0.2}], "lines[0]")):
+        with pytest.raises(BadInput) as refused:
+            draw(desk, "check", start=start, lines=lines)
+        assert refused.value.field == field and refused.value.remedy
+    with pytest.raises(BadInput, match="no run goes on"):
+        draw(desk, "take_back", object="cloth", number=1)
+
+
+@pytest.mark.full
+def test_lines_of_a_run_are_taken_back_by_their_numbers(desk: Desk) -> None:
+    wide = LINE | {"width": 0.5}
+    text = keep(desk, see(desk), [wide])
+    desk.act({"do": "run", "scene": FILE, "text": text, "paused": True})
+    wait_until(lambda: desk.act({"do": "now"})["state"] == "paused", PATIENCE)
+    own = desk._own
+    assert own is not None and own.live is not None
+    desk.act({"do": "control", "action": "step"})
+    desk._live({"run": [own.name]})
+    board = own.live.board
+    wait_until(lambda: len(board.now.x) > 0 and desk.act({"do": "now"})["state"] == "paused")
+    found = draw(desk, "apply", run=own.name, shape=board.now.shape, lines=[wide, wide])
+    assert (found["applied"], found["numbers"]) == ([0, 1], [("cloth", 2), ("cloth", 3)])
+    for number in (1, 3):
+        draw(desk, "take_back", object="cloth", number=number)
+    for number in (1, 4, "x"):
+        with pytest.raises(BadInput):
+            draw(desk, "take_back", object="cloth", number=number)
+    desk.act({"do": "control", "action": "stop"})
+    wait_until(lambda: desk.act({"do": "now"})["state"] == "over", PATIENCE)
+    with nuno.open("last") as one:
+        assert [event.text for event in control_events(one)].count("add") == 3
 
 
 def test_lines_on_other_triangles_than_the_texts_do_not_go_into_it(desk: Desk) -> None:

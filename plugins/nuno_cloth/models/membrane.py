@@ -43,8 +43,8 @@ from nuno_schemas.fabric import (
 Tension = Literal["auto", "membrane", "springs"]
 TENSION = (
     "what bears tension and shear: membrane, triangles of constant strain along warp and weft, which have a measured "
-    "fabric's stiffness on any mesh; springs on the edges, which lines of wrinkles without a width need; auto: a membrane "
-    "of measured fabrics, springs of constants set by hand"
+    "fabric's stiffness on any mesh; springs on the edges, which lines of wrinkles without a width need; auto: a "
+    "membrane of measured fabrics, springs of constants set by hand"
 )
 BYTES_PER_VERTEX, SPRUNG = 4500, 2000
 """The most memory that a run takes, with a membrane and with springs: 4,188 and 1,896 were measured, between meshes of
