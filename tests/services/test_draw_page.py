@@ -166,6 +166,31 @@ def test_a_scene_is_run_with_its_lines_and_they_are_in_it_once(
     assert page.said == []
 
 
+def test_cloth_that_needs_a_width_has_one_suggested_and_its_lines_are_taken_back(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_sheet(tmp_path).write_text(SHEET.replace("cells: triangles, ", ""))
+    desk, place = opened(FILE)
+    with served(desk) as server:
+        look(page, server.guard.address + place)
+        width, edge = page.value(f"{VIEW}.draw.width"), page.value(f"{VIEW}.draw.needs.edge")
+        assert width >= 5.9 * edge and page.value("document.getElementById('draw-passes').disabled")
+        page.drag(PATH)
+        page.drag([(580, 500), (620, 520), (700, 510)])
+        page.click("draw-apply")
+        page.wait(f"{VIEW}.frame.frame > 3", 300.0)
+        for left in (1, 0):
+            page.tap("#draw-list li .link")
+            page.wait(f"{VIEW}.lines.list.length === {left}")
+        page.click("stop")
+        page.wait("nuno.dock.now.state === 'over'", 60.0)
+    with nuno.open("last") as recording:
+        items = [event.args["item"] for event in control_events(recording) if event.text == "add"]
+        assert [item.partition("take_back")[2] for item in items] == ['": [1]}', '": [2]}']
+    assert page.said == []
+
+
 def test_the_page_follows_a_run_and_gives_it_lines(page: Page, tmp_path: Path) -> None:
     scene = write_sheet(tmp_path)
     run = Run(scene, tmp_path / "run.mcap")
