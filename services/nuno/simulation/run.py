@@ -536,24 +536,21 @@ class Simulation(Stepper):
         """Raise BadInput where an operation has moved vertices (n,) and the cloth there passes through cloth or a body
         that it meets by cloth contact, which would hold it there.
         """
-        x, faces, scene = self.state.x, self.fabric.faces, self.loaded.scene
+        scene, x, faces, n = self.loaded.scene, self.state.x, self.fabric.faces, self.fabric.number
         if self.loaded.cloth_contact is None or not moved.any():
             return
-        piece = np.repeat(np.arange(len(self.pieces)), [one.stop - one.start for one in self.pieces])
-        meet = np.pad(scene.meet(), (0, 1), constant_values=True)
-        meet[-1, -1] = False
         if scene.met_bodies and self.geometry is not None and self.poses is not None:
             solid = surface(self.geometry.of_bodies(scene.met_bodies))
-            faces, place = np.concatenate([faces, solid.faces + np.int32(len(x))]), solid.at(self.poses)
-            x, piece = np.concatenate([x, place]), np.append(piece, np.full(len(place), len(self.pieces)))
-        moved = np.append(moved, np.zeros(len(x) - len(moved), np.bool_))
+            x, faces = np.concatenate([x, solid.at(self.poses)]), np.concatenate([faces, solid.faces + np.int32(n)])
+        sizes = [*(piece.stop - piece.start for piece in self.pieces), len(x) - n]
+        piece, moved = np.repeat(np.arange(len(sizes)), sizes), np.pad(moved, (0, len(x) - n))
+        meet = np.pad(scene.meet(), (0, 1), constant_values=True)
         found = find_crossings(x, mesh_of(faces))
         through = moved[found.edges].any(axis=1) | moved[found.triangles].any(axis=1)
         through &= meet[piece[found.edges[:, 0]], piece[found.triangles[:, 0]]]
         if through.any():
+            value = f"{np.count_nonzero(through)} edges through triangles, one at {found.places[through][0].round(4)} m"
             remedy = "a smaller height, or a line elsewhere"
-            place = found.places[through][0].round(4).tolist()
-            value = f"{np.count_nonzero(through)} edges through triangles, one at {place} m"
             raise BadInput("the cloth would pass through cloth or a body that it meets", value=value, remedy=remedy)
 
     def _apply(self, chosen: Chosen, fabric: Fabric, state: State) -> Outcome:
