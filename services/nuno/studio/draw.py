@@ -121,7 +121,7 @@ class Stroke(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     points: list[tuple[Face, float, float]] = Field(min_length=2, max_length=MOST_POINTS)
     height: float = Field(allow_inf_nan=False)
-    width: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    width: float | None = Field(default=None, ge=1e-6, allow_inf_nan=False)
     """[m]; None for a line that splits triangles."""
     closed: bool = False
     """Whether the last point is joined to the first."""
