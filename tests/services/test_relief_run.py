@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from live_run import start_long
 from matplotlib.tri import LinearTriInterpolator, Triangulation
-from scattered_meshes import irregular
+from scattered_meshes import irregular, shuffled
 from scenes import write_scene
 from sewing_patterns import column, tube
 
@@ -122,6 +122,37 @@ def test_a_line_over_a_seam_is_replayed_and_resumed_in_the_same_bits_by_any_solv
         part = nuno.run(scene, f"duration={cut}", record=tmp_path / "part.mcap")
         options = Options(record=tmp_path / "on.mcap", resume=part.path)
         assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] == whole.digest
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("cloth", ["renumbered", "quads", "triangles"])
+def test_lines_on_the_second_of_two_objects_are_replayed_and_resumed_in_the_same_bits(
+    tmp_path: Path, cloth: str
+) -> None:
+    """On a membrane that steps with other numbers, and on springs in runs."""
+    model = {"plugin": "sheet", "resolution": [50, 50], "size": [SIZE, SIZE], "pin": ["top-corners"], "fabric": "denim"}
+    other = {"plugin": "sheet", "resolution": [5, 5], "size": [0.1, 0.1], "centre": [0, 1, 0], "fabric": "denim"}
+    if cloth == "renumbered":
+        x, faces, _ = shuffled(*irregular(46))
+        write_mesh(tmp_path / "piece.obj", SIZE * (x - [0.5, 0.5, 0.0]), faces)
+        model = {"plugin": "mesh", "file": "piece.obj", "warp": [0, 1, 0], "pin": [0], "fabric": "interlock"}
+    else:
+        model |= {"cells": cloth}
+    first, second = LINE | {"height": 0.02, "width": 0.12}, LINE | {"height": -0.02, "width": 0.12}
+    steps = {"at": 0.04, "keep": True, "lines": [first, second]}, {"at": 0.1, "take_back": [1], "lines": [first]}
+    scene = write_scene(
+        tmp_path, duration=0.2, solver="leapfrog", damping=3, record={"checkpoint_every": 0.06},
+        objects=[{"name": "other", "model": other}, {"name": "cloth", "model": model}],
+        operations=[{"plugin": "wrinkle", "object": "cloth", "tolerance": 0.2} | step for step in steps],
+    )  # fmt: skip
+    assert (Simulation(scene_file.read(scene), None, None, 1).numbers is not None) == (cloth == "renumbered")
+    whole = nuno.run(scene, record=tmp_path / "whole.mcap")
+    assert [change["facts"]["first"] for change in whole.report["changes"]] == [1.0, 3.0]
+    with nuno.open(whole.path) as recording:
+        assert verify(recording).frame is None
+    part = nuno.run(scene, "duration=0.14", record=tmp_path / "part.mcap")
+    options = Options(record=tmp_path / "on.mcap", resume=part.path)
+    assert supervisor.supervise(scene_file.read(scene), options).summary["digest"] == whole.digest
 
 
 def test_lines_on_a_garment_follow_its_panels_and_its_sewn_surface(tmp_path: Path) -> None:
