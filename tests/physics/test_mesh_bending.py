@@ -111,6 +111,22 @@ def test_a_folded_piece_is_laid_open_across_its_edge() -> None:
     np.testing.assert_allclose(bending.weight, flat.bending.weight, atol=1e-9 * np.abs(flat.bending.weight).max())
 
 
+@pytest.mark.parametrize(("warp", "instead"), [
+    ([0.0, 1.0, 0.0], [0.0, 0.0, 1.0]), ([0.03, -2.0, 0.02], [0.0, 0.0, 1.0]), ([0.0, 1e-9, 1.0], [0.0, 1.0, 0.0]),
+    ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+])  # fmt: skip
+def test_cloth_that_its_warp_is_normal_to_has_another_axis(warp: list[float], instead: list[float]) -> None:
+    """However its triangles are numbered, all yarns go one way, in level cloth that is not quite flat, too."""
+    x, faces = square("irregular", 6)
+    normal, other = np.array(warp) / np.linalg.norm(warp), np.array(instead)
+    third = np.cross(other, normal)
+    rough = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(x))
+    laid = x[:, :1] * other + x[:, 1:2] * third + rough[:, None] * normal
+    for order in range(3):
+        found = yarn_axes(laid[np.roll(faces, order, axis=1)], np.array(warp))
+        assert np.abs(found[0] @ other).min() > 0.99 and np.sign(found[0] @ other).min() > 0.0
+
+
 def test_the_force_is_the_gradient_of_the_energy_in_kernels_and_in_the_check() -> None:
     cloth = plate(*square("irregular", 8), PLATE)
     x, way = crumpled(cloth), np.random.default_rng(2).standard_normal(cloth.position.shape)

@@ -235,6 +235,20 @@ def test_cloth_that_starts_in_a_body_is_told_beside_where_its_frame_is(capsys: p
     assert re.search(r"^WARNING +[1-9][0-9]* of 1,920 vertices start in a body, up to [0-9.]+ mm", low, re.MULTILINE)
 
 
+@pytest.mark.parametrize(("warp", "fabric", "doubted"), [
+    (None, "denim", True), ([0.0, 0.0, 1.0], "denim", False), ([0.05, -2.0, 0.0], "denim", True),
+    ([1, 1, 0], "denim", False), (None, {"density": 0.2, "structural": 10.0}, False),
+])  # fmt: skip
+def test_a_warp_that_is_normal_to_cloth_is_doubted(
+    warp: list[float] | None, fabric: Any, doubted: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "top.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 3 2\nf 1 4 3\n")
+    model = {"plugin": "mesh", "file": "top.obj", "fabric": fabric} | ({} if warp is None else {"warp": warp})
+    objects = [{"name": "top", "model": model, "colour": "#ffffff"}]
+    found = scene_warnings(load(HANGING | {"objects": objects}, {}, "top", SceneFiles(tmp_path)))
+    assert [text.startswith("objects[0].model.warp") for text in found] == [True] * doubted
+
+
 @pytest.mark.parametrize(("size", "scale", "said"), [
     (340.0, 1.0, "1mm (0.34 m long)"), (340.0, 1e-3, ""), (19.0, 1.0, ""), (30.0, 1.0, "1cm (0.3 m long) or 1inch"),
     (400.0, 0.1, "1mm (0.4 m long)"),

@@ -23,7 +23,7 @@ from nuno_cloth.models.placement import (
     Velocity,
     find_texture,
 )
-from nuno_cloth.models.triangles import Edges, face_areas, find_edges
+from nuno_cloth.models.triangles import ACROSS, Edges, face_areas, find_edges, second_axis
 from nuno_cloth.quantities import Scale
 from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh, material_images
 from nuno_schemas.errors import BadInput
@@ -32,6 +32,8 @@ from nuno_schemas.plugin import Config, Files
 from nuno_schemas.vectors import turn
 
 KINDS = ("obj", "ply", "stl")
+SEEN_ACROSS = 0.1
+"""Share of the cloth that its warp may be normal to without a word."""
 FARTHEST = 1e100
 """Squares and cubes of coordinates beyond this [m] overflow."""
 
@@ -65,7 +67,9 @@ class MeshConfig(Config):
     centre: Point = Field(default=(0.0, 0.0, 0.0), description="where the file's origin comes to lie [m]")
     velocity: Velocity = Field(default=STILL, description=VELOCITY)
     warp: Direction = Field(
-        default=(0.0, 1.0, 0.0), description="direction of the warp yarns in the file's axes, laid onto each triangle"
+        default=(0.0, 1.0, 0.0),
+        description="direction of the warp yarns in the file's axes, laid onto each triangle; triangles that it is "
+        "normal to have another axis laid onto them, z if it is upright",
     )
     merge: bool = Field(
         default=False,
@@ -101,6 +105,21 @@ class Mesh:
             f"the materials of {path.name} name the image {image}, and are not read: give the model "
             f'texture: "{image}", or the object a colour'
             for image in images
+        )
+
+    def doubts(self, config: MeshConfig, files: Files) -> tuple[str, ...]:
+        """Describe a warp of measured cloth that is normal to more than SEEN_ACROSS of it."""
+        points, faces, *_ = read_mesh(files.resolve(config.file), config.merge)
+        warp, normal = np.asarray(config.warp), np.cross(*np.diff(points[faces], axis=1).transpose(1, 0, 2))
+        size = np.linalg.norm(normal, axis=1)
+        across = np.linalg.norm(np.cross(warp, normal), axis=1) <= ACROSS * np.linalg.norm(warp) * size
+        share = float(size[across].sum() / max(size.sum(), 1e-300))
+        if share <= SEEN_ACROSS or not isinstance(resolve(config.fabric), Material):
+            return ()
+        matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
+        axis = "xyz"[int(second_axis(turn(matrix, warp)).argmax())]
+        return (
+            f"warp: it is normal to {share:.0%} of the cloth, where the yarns lie along {axis} instead: give another",
         )
 
     def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:

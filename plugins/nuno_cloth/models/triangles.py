@@ -69,19 +69,29 @@ def face_areas(corners: Float) -> Float:
     return area
 
 
+ACROSS = 0.1
+"""Sine of the angle to a triangle's normal below which a warp is across it, and says nothing of the yarns' way."""
+
+
 def yarn_axes(corners: Float, warp: Float) -> tuple[Float, Float]:
     """Return unit warp and weft directions (f, 3): `warp` (3,) or (f, 3) laid onto triangles with corners (f, 3, 3).
 
-    Where `warp` is normal to a triangle, the triangle's first edge is the warp.
+    Triangles that `warp` is normal to, within ACROSS, have `second_axis(warp)` laid onto them.
     """
     first = corners[:, 1] - corners[:, 0]
     normal = np.cross(first, corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    flat = warp - normal * (np.broadcast_to(warp, normal.shape) * normal).sum(1)[:, None]
-    size = np.linalg.norm(flat, axis=1)[:, None]
-    upright = size <= 1e-6 * np.linalg.norm(warp, axis=-1).max()
-    along = np.where(upright, first / np.linalg.norm(first, axis=1)[:, None], flat / np.where(upright, 1, size))
+    every = np.broadcast_to(warp / np.linalg.norm(warp, axis=-1, keepdims=True), normal.shape)
+    across = np.linalg.norm(np.cross(every, normal), axis=1) <= ACROSS
+    every = np.where(across[:, None], second_axis(every), every)
+    flat = every - normal * (every * normal).sum(1)[:, None]
+    along = flat / np.linalg.norm(flat, axis=1)[:, None]
     return along, np.cross(along, normal)
+
+
+def second_axis(warp: Float) -> Float:
+    """Return the coordinate axes farthest from directions (..., 3), the last of several: z, of an upright one."""
+    return np.asarray(np.eye(3)[2 - np.argmin(np.round(np.abs(warp), 6)[..., ::-1], axis=-1)])
 
 
 def spring_stiffness(material: Material, x: Float, faces: Int, edges: Edges, warp: Float, weft: Float) -> Float:

@@ -39,6 +39,7 @@ def scene_warnings(loaded: Loaded) -> list[str]:
         *empty,
         *implausible_numbers(loaded),
         *left_out(loaded),
+        *doubts(loaded),
         *turned_back(loaded),
     ]
 
@@ -54,6 +55,16 @@ def left_out(loaded: Loaded) -> list[str]:
         with suppress(BadInput):  # raised again where the cloth is built
             left = one.plugin.left_out(one.config, loaded.files) if hasattr(one.plugin, "left_out") else ()
             texts += [f"{one.field}: {text}" for text in left]
+    return texts
+
+
+def doubts(loaded: Loaded) -> list[str]:
+    """Return doubts about the cloth of files, by `doubts(config, files)` of their plugins."""
+    texts = list[str]()
+    for one in loaded.models:
+        with suppress(BadInput):  # raised again where the cloth is built
+            found = one.plugin.doubts(one.config, loaded.files) if hasattr(one.plugin, "doubts") else ()
+            texts += [f"{one.field}.{text}" for text in found]
     return texts
 
 
