@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from nuno.collision.bodies import build_bodies, surface
+from nuno.collision.distance import signed_distance
 from nuno.exports.cloth import read_frame, read_pieces
 from nuno.exports.pictures import Colour, export_picture
 from nuno.exports.yarns import export_yarn_picture, find_camera, make_yarns, read_worn, styled
@@ -30,6 +32,7 @@ from nuno_bench.gallery.kind import (
     show_scene,
 )
 from nuno_bench.report.page import Table, number
+from nuno_bench.report.plots import pyplot
 from nuno_render.rays.yarns import radiance
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.pictures import Picture
@@ -70,6 +73,7 @@ REACH = 0.04
 """How near points count in figure 18 [m]."""
 LAST, HALF = "way of the last tenth of the steps over the whole", "way of the last half of the steps over the whole"
 INSIDE = "deepest point in the body [m]"
+REPAIR = "the link that cuts deepest into the leg, and its repair"
 CUT, REPAIRED = "links through the body", "deepest yarn after the repair [m]"
 EDGE, MIDDLE = "share of yarn at the silhouette", "share of yarn in the middle"
 MOST, LEAST = "most points within 40 mm", "fewest points within 40 mm, off the edges"
@@ -108,7 +112,9 @@ def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple
     kind = np.full(len(piece.edges), -1, np.int8) if piece.yarns is None else piece.yarns
     # A recording names its kinds of yarn in its report alone.
     knit = Knitted(x, piece.edges, piece.rest, kind, tuple(report.get("yarns", {})), config["form"] == "tube")
-    return _draw(loaded, recording, folder), _measure(loaded, recording, knit, report)
+    pictures = _draw(loaded, recording, folder)
+    pictures += [(REPAIR, draw_repair(loaded, recording))] if loaded.scene.name == COARSE else []
+    return pictures, _measure(loaded, recording, knit, report)
 
 
 def _measure(loaded: Loaded, recording: Recording, knit: Knitted, report: Mapping[str, Any]) -> dict[str, float]:
@@ -124,7 +130,9 @@ def _measure(loaded: Loaded, recording: Recording, knit: Knitted, report: Mappin
     found |= {DENSITY.format(place): density_at(knit, height) for place, height in places.items()}
     found |= {PRESSURE.format(place): value for place, value in pressure.items()}
     if loaded.scene.name in (COARSE, FINE):
-        found |= {INSIDE: float(report["last_penetration"])} | count_near(knit)
+        bodies = build_bodies(loaded)
+        skin = surface(bodies.geometry).at(bodies.poses(read_frame(recording).t))
+        found |= {INSIDE: float(report["last_penetration"])} | count_near(knit, skin)
         found |= measure_repair(recording) | measure_shares(loaded, recording)
     return found
 
@@ -136,12 +144,13 @@ def last_ways(recording: Recording) -> dict[str, float]:
     return {LAST: last / start, HALF: half / start}
 
 
-def count_near(knit: Knitted) -> dict[str, float]:
-    """The largest number of points within REACH of a point, and the smallest of those as far from the edges."""
-    points = knit.x.reshape(-1, 3)
-    near = cKDTree(points).query_ball_point(points, REACH, return_length=True)
+def count_near(knit: Knitted, skin: Float) -> dict[str, float]:
+    """The largest number of points within REACH of a vertex of the skin (v, 3) [m], and the smallest of those as far
+    from the knit's edges.
+    """
+    near = cKDTree(knit.x.reshape(-1, 3)).query_ball_point(skin, REACH, return_length=True)
     low, high = knit.x[0, :, 1].max() + REACH, knit.x[-1, :, 1].min() - REACH
-    inner = (points[:, 1] > low) & (points[:, 1] < high)
+    inner = (skin[:, 1] > low) & (skin[:, 1] < high)
     return {MOST: float(near.max()), LEAST: float(near[inner].min())}
 
 
@@ -149,6 +158,30 @@ def measure_repair(recording: Recording) -> dict[str, float]:
     """How many straight links the repair bends round the body, and how deep a yarn lies after it [m]."""
     facts = make_yarns(recording, read_frame(recording), "straight").facts
     return {CUT: float(facts["repaired"]), REPAIRED: float(facts["deepest"])}
+
+
+def draw_repair(loaded: Loaded, recording: Recording) -> Picture:
+    """Of the repaired link that goes deepest into the leg the distance from the skin along it, before and after."""
+    frame, bodies = read_frame(recording), build_bodies(loaded)
+    made, poses = make_yarns(recording, frame, "straight"), bodies.poses(frame.t)
+    assert made.curves is not None
+    points, own = made.curves.points, np.flatnonzero(made.arrays["vertex"] >= 0)
+    first, last = (ends[np.diff(own) > 1] for ends in (own[:-1], own[1:]))
+    deepest = signed_distance(0.5 * (points[first] + points[last]), bodies.geometry, poses).argmin()
+    bent = points[first[deepest] : last[deepest] + 1]
+    figure, axis = pyplot().subplots(figsize=(SIZE[0] / 100, SIZE[0] / 100), dpi=100)
+    axis.axhspan(-1e3, 0.0, color="0.85", label="inside the leg")
+    for way, name in ((bent[[0, -1]], "the straight link"), (bent, "repaired")):
+        along = np.append(0.0, np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum())
+        at = np.linspace(0.0, along[-1], 400)
+        places = np.stack([np.interp(at, along, way[:, k]) for k in range(3)], axis=1)
+        off = 1e6 * signed_distance(places, bodies.geometry, poses)
+        axis.plot(1e3 * at, off, label=name)
+    axis.set(xlabel="along the link [mm]", ylabel="distance from the skin [um]")
+    axis.set_ylim(*(1.2 * np.array([min(line.get_ydata().min() for line in axis.lines), 25.0])))
+    axis.legend()
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
 
 
 def measure_shares(loaded: Loaded, recording: Recording) -> dict[str, float]:
@@ -365,7 +398,7 @@ FIGURES = (
     Figure(
         "15", "Where a link between two points cuts through the leg, points are added, and it no longer does.",
         "Some links cut through the leg, and no sample of the repaired yarns is deeper than 2 um.",
-        (COARSE,), judge_repair,
+        (COARSE,), judge_repair, labels=(REPAIR,),
     ),
     Figure(
         "18", "The number of points near each place of the skin shows how close stitches are: 800 at most.",
