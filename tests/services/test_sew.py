@@ -183,6 +183,17 @@ def test_what_cannot_be_put_on_is_refused_before_anything_runs(
     assert (tmp_path / "mine.yaml").read_text() == "mine" and not (tmp_path / "recordings").exists()
 
 
+def test_a_file_that_is_no_pattern_is_refused_before_a_scene_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "coat.dxf").write_text("0\nSECTION\n2\nHEADER\n")
+    trimesh.Trimesh(*column((0.08, 0.06), (0.9, 1.4)), process=False).export(tmp_path / "column.obj")
+    monkeypatch.chdir(tmp_path)
+    assert main(["sew", "coat.dxf", "--body", "column.obj"]) == 2
+    assert "coat.dxf:1" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["coat.dxf", "column.obj"]
+
+
 OTHER_FLAGS = {
     "another fabric and motion": ("polyester", "--body", "column.obj", "--motion", "walk.bvh"),
     "the mannequin": ("denim", "--body", "mannequin"),

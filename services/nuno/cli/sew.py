@@ -181,13 +181,10 @@ def _find_flags(body: Path, patterns: list[Path]) -> tuple[str, bool]:
 
 def _remind(pattern: Path) -> None:
     """Print the kinds of remarks of a pattern's check, except gathers; the run reports errors. Raises BadInput for a
-    pattern of a size that no garment has.
+    file that is no pattern, and for a pattern of a size that no garment has.
     """
     model = registry.offering("nuno.models", "check_pattern", "reads sewing patterns")
-    try:
-        checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
-    except BadInput:
-        return
+    checked: Checked = model.check_pattern(SceneFiles(pattern.parent), pattern.name, np.inf)
     for one in checked.remarks:
         if one.kind == "size":
             raise BadInput(one.text, str(pattern), one.line, one.field, remedy=one.remedy)
