@@ -194,6 +194,18 @@ def test_keys_that_are_turned_the_other_way_are_said(form: str, rotations: list[
     assert [text.partition(":")[0] for text in found] == ([f"bodies[0].motion.rotations[{key}]"] if key else [])
 
 
+@pytest.mark.parametrize(("fields", "jumps"), [
+    ({"positions": [[0, 0, 0], [1, 0, 0], [0, 0, 0]]}, False), ({"positions": [[0, 0, 0], [1, 0, 0], [1, 0, 0]]}, True),
+    ({"rotations": [[0, 0, 0], [0, "180 deg", 0], [0, "360 deg", 0]]}, False),
+    ({"rotations": [[0, 0, 0], [0, "90 deg", 0], [0, "180 deg", 0]]}, True),
+])  # fmt: skip
+def test_a_loop_that_ends_elsewhere_than_it_begins_is_doubted(fields: dict[str, Any], jumps: bool) -> None:
+    for end in ("hold", "loop"):
+        motion = {"plugin": "keyframes", "times": [0, 1, 2], "end": end, **fields}
+        found = hanging({"bodies": [{"name": "b", "collider": {"plugin": "sphere", "radius": 0.1}, "motion": motion}]})
+        assert [text.partition(":")[0] for text in found] == ["bodies[0].motion.end"] * (jumps and end == "loop")
+
+
 @pytest.mark.parametrize("name", shipped.scenes())
 def test_shipped_scenes_are_beyond_doubt(name: str) -> None:
     assert scene_warnings(read(shipped.find(name))) == []

@@ -138,13 +138,21 @@ class Keyframes:
         )
         return Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), keys.pose)
 
-    def turned_back(self, config: BaseModel) -> list[str]:
-        """Say of the first key that is more than half a turn from the one before it that it is turned the other way."""
+    def doubts(self, config: BaseModel, files: Files) -> list[str]:
+        """Say of the first key that is more than half a turn from the one before it that it is turned the other way,
+        and of a loop that ends elsewhere than it begins that it jumps.
+        """
         c = cast(KeyframesConfig, config)
         turns = [turn_between(c, k) for k in range(1, len(c.rotations or []))]
         far = [k for k, turn in enumerate(turns, 1) if math.pi * (1.0 + 1e-9) < turn <= TURN]
-        return [
+        texts = [
             f"rotations[{k}]: it is {math.degrees(turns[k - 1]):.4g} deg from the key before, and a body turns the "
             f"shorter way{f' (so do {len(far) - 1:,} more keys)' if len(far) > 1 else ''}: add a key for each half turn"
             for k in far[:1]
         ]
+        pose = self.prepare(config, files).pose
+        (turn, place), (turned, moved) = (pose(float(c.times[k])) for k in (0, -1))
+        if c.end == "loop" and (abs(float((turn * turned).sum())) < 1.0 - 1e-9 or not np.allclose(place, moved)):
+            away = f"{float(norm(moved - place)[0]):.3g} m away, or turned"
+            texts.append(f"end: the loop jumps from its last key to its first, {away}: let it end as it begins")
+        return texts

@@ -40,7 +40,6 @@ def scene_warnings(loaded: Loaded) -> list[str]:
         *implausible_numbers(loaded),
         *left_out(loaded),
         *doubts(loaded),
-        *turned_back(loaded),
     ]
 
 
@@ -59,19 +58,13 @@ def left_out(loaded: Loaded) -> list[str]:
 
 
 def doubts(loaded: Loaded) -> list[str]:
-    """Return doubts about the cloth of files, by `doubts(config, files)` of their plugins."""
+    """Return doubts about cloth and motions, by `doubts(config, files)` of their plugins."""
     texts = list[str]()
-    for one in loaded.models:
-        with suppress(BadInput):  # raised again where the cloth is built
+    for one in (*loaded.models, *(motion for motion in loaded.motions if motion is not None)):
+        with suppress(BadInput):  # raised again where they are built
             found = one.plugin.doubts(one.config, loaded.files) if hasattr(one.plugin, "doubts") else ()
             texts += [f"{one.field}.{text}" for text in found]
     return texts
-
-
-def turned_back(loaded: Loaded) -> list[str]:
-    """Return what motions turn the other way than is written, by `turned_back(config)` of their plugins."""
-    motions = [one for one in loaded.motions if one is not None and hasattr(one.plugin, "turned_back")]
-    return [f"{one.field}.{text}" for one in motions for text in one.plugin.turned_back(one.config)]
 
 
 def rounded_times(loaded: Loaded) -> list[str]:
