@@ -67,6 +67,7 @@ def crest(simulation: Simulation) -> tuple[float, float]:
     return float(height.mean()), float(np.std(height - smooth))
 
 
+@pytest.mark.full
 def test_the_height_of_a_ridge_converges_under_refinement_and_its_crest_is_smooth(tmp_path: Path) -> None:
     found = [crest(finished(hung(tmp_path, n, {"lines": [LINE], "keep": True}, duration=1.5))) for n in (9, 17, 33)]
     (first, rough), (second, finer), (third, finest) = found
