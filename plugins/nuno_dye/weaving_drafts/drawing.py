@@ -54,8 +54,9 @@ def draw_draft(draft: Draft) -> DrawnDraft:
     facts = {
         "ends": f"{ends}", "picks": f"{picks}", "shafts": f"{loom.threading.shape[1]}",
         "treadles": f"{treadle_count}" if loom.tie_up is not None else "a lift plan",
-        "size": "not said: the file has no spacing of warp and weft",
     }  # fmt: skip
+    unsaid = [name for name, yarns in (("warp", across), ("weft", down)) if yarns is None]
+    facts["size"] = f"not said: the file has no spacing of {' and '.join(unsaid)}"
     if across is not None and down is not None:
         facts["size"] = f"{1e3 * across.sum():.4g} mm x {1e3 * down.sum():.4g} mm"
     idle, empty = (np.flatnonzero(~used.any(axis=1)) + 1 for used in (loom.threading, loom.moved))
