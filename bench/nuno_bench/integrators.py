@@ -66,8 +66,6 @@ class Trace:
     steps: int
     dt: float
     limit: float
-    rest_depth: float | None
-    primitives: int
     lift: float
 
     @property
@@ -177,7 +175,6 @@ def run_variant(
             inside, mean = (max(0.0, -finite.min()), finite.mean()) if finite.size else (np.nan, np.nan)
             energy = [float(report.energy.get(kind, 0.0)) for kind in SERIES[1:5]]
             rows.append((t, *energy, sum(energy), float(inside), float(mean), report.stretch))
-    depths = [term.facts["rest_depth"] for term in problem.system.terms if "rest_depth" in term.facts]
     weight = float(problem.fabric.mass.sum()) * float(np.linalg.norm(problem.system.gravity))
     return Trace(
         integrator=name,
@@ -189,8 +186,6 @@ def run_variant(
         steps=run.totals["steps"],
         dt=problem.frame / steps,
         limit=limit.dt,
-        rest_depth=depths[0] if depths else None,
-        primitives=len(bodies.geometry.kind),
         lift=weight * problem.size,
     )
 

@@ -29,7 +29,11 @@ IMPLICIT = (
 
 @cache
 def fit(*overrides: str) -> Simulation:
-    loaded = scene_file.read(shipped.find("knit/stocking-support"), overrides)
+    return settle("knit/stocking-support", *overrides)
+
+
+def settle(scene: str, *overrides: str) -> Simulation:
+    loaded = scene_file.read(shipped.find(scene), overrides)
     bodies = build_bodies(loaded)
     poses = bodies.poses(0.0)
     simulation = Simulation(loaded, bodies.geometry, poses, 1)
@@ -98,6 +102,12 @@ def test_it_presses_as_compression_class_1() -> None:
     assert 2400.0 <= ankle <= 2800.0
     assert 0.5 <= found["calf"] / ankle <= 0.8 and 0.2 <= found["thigh"] / ankle <= 0.6
     assert ankle > found["calf"] > found["knee"] > found["thigh"]
+
+
+@pytest.mark.full
+def test_a_stocking_knitted_to_shape_presses_less_up_the_leg() -> None:
+    found = pressures(settle("knit/stocking-compression"))
+    assert found["ankle"] > 1.2 * found["calf"] and found["calf"] > 1.2 * found["thigh"]
 
 
 @pytest.mark.full

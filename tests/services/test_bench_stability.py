@@ -248,7 +248,7 @@ def trace(integrator: str, split: bool = True, depth: float = 1e-3, grow: float 
     t, seconds = np.linspace(0.0, 1.0, 11), tuple(us * 1e-4 * part for part in (1.0, 0.95, 1.05))
     series = {name: np.zeros(11) for name in SERIES} | {"t": t, "penetration": np.full(11, depth)}
     series["energy"], series["distance"], series["kinetic"] = 2.0 * grow**t, 0.1 * grow**t, np.ones(11)
-    return Trace(integrator, split, series, None, "", seconds, 100, 2e-3, 3e-3, 1e-4, 20, 2.0)
+    return Trace(integrator, split, series, None, "", seconds, 100, 2e-3, 3e-3, 2.0)
 
 
 @pytest.mark.parametrize("height", [-3.0, 0.0, 50.0])
@@ -279,7 +279,7 @@ def test_same_run_twice_is_the_same_and_bones_differ_in_pieces() -> None:
     ]
     for name in SERIES:
         assert np.array_equal(runs[0].series[name], runs[1].series[name]), name
-    assert runs[0].primitives > runs[2].primitives
+    assert not np.array_equal(runs[0].series["distance"], runs[2].series["distance"])
     assert runs[0].steps == 100
     kinds = [runs[0].series[name] for name in ("kinetic", "gravitational", "springs", "hinges")]
     np.testing.assert_allclose(runs[0].series["energy"], np.sum(kinds, axis=0), rtol=1e-14)

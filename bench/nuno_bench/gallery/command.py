@@ -1,4 +1,4 @@
-"""`nuno gallery KIND`: one page with the pictures of all scenes of a kind, what was measured, and what must show; and
+"""`nuno gallery KIND`: one page with the pictures of all scenes of a kind, and what was measured; and
 `nuno gallery papers`: one page over the four papers.
 """
 
@@ -22,13 +22,10 @@ from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, skirt, wrinkle
 from nuno_bench.gallery.kind import (
-    DIFFERENCE_HEADINGS,
-    EFFECT,
     Figure,
     Gallery,
     ShownScene,
     Verdict,
-    compare,
     embed,
     judge_figures,
 )
@@ -43,7 +40,6 @@ PAPERS = {"skirt": "skirt", "knit": "stocking", "dye": "dye", "wrinkle": "wrinkl
 """Galleries of a paper's figures, and what the paper is about."""
 ALL_PAPERS = "papers"
 FIGURE_HEADINGS = ("figure", "what the paper says", "criterion", "here", "verdict")
-ASKED = f"A ratio of two measures; at least {EFFECT:g} is asked for."
 NEEDED = "--patterns, --body"
 
 
@@ -59,9 +55,7 @@ def gallery_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def gallery_command(args: argparse.Namespace) -> int:
-    """Run all scenes; 1 where one fails, does not show what it must, or a figure is not reproduced and no sweep says
-    why.
-    """
+    """Run all scenes; 1 where one fails, or a figure is not reproduced and no sweep says why."""
     check_patterns(args)
     section = f"gallery {args.kind}"
     page.check_section(args.docs, section)
@@ -91,7 +85,7 @@ def show_papers(args: argparse.Namespace, section: str) -> int:
     sections, rows, stands = list[tuple[str, Sequence[page.Part]]](), list[list[str]](), True
     for name, paths in wanted.items():
         if paths:
-            kind = replace(KINDS[name], differences=())
+            kind = KINDS[name]
             found = judge(kind, run_scenes(kind, paths))
             stands = stands and found.stands
             of = f"{PAPERS[name].capitalize()} paper"
@@ -136,24 +130,21 @@ def run_scenes(kind: Gallery, paths: list[Path]) -> list[ShownScene]:
 
 
 class Judged(NamedTuple):
-    """Scenes that were run, the rows of their differences, and the verdicts on their figures."""
+    """Scenes that were run, and the verdicts on their figures."""
 
     shown: Sequence[ShownScene]
-    differences: list[list[str]]
     verdicts: list[Verdict]
 
     @property
     def stands(self) -> bool:
-        """Whether no scene failed, every difference shows, and every figure stands."""
-        shows = all(row[-1] != "missed" for row in self.differences)
-        return shows and not any(one.failed for one in self.shown) and all(one.stands for one in self.verdicts)
+        """Whether no scene failed, and every figure stands."""
+        return not any(one.failed for one in self.shown) and all(one.stands for one in self.verdicts)
 
 
 def judge(kind: Gallery, shown: Sequence[ShownScene]) -> Judged:
-    """Hold the scenes that did not fail against what must show, and print it."""
-    whole = {one.name: one for one in shown if not one.failed}
-    found = Judged(shown, compare(kind.differences, whole), judge_figures(kind.figures, whole))
-    for row in [*found.differences, *figure_rows(found.verdicts)]:
+    """Judge the figures whose scenes did not fail, and print the verdicts."""
+    found = Judged(shown, judge_figures(kind.figures, {one.name: one for one in shown if not one.failed}))
+    for row in figure_rows(found.verdicts):
         print("  ".join(row))
     return found
 
@@ -175,7 +166,7 @@ def choose(kind: Gallery, wanted: str | None) -> list[Path]:
 
 
 def report(kind: Gallery, found: Judged, about: dict[str, str]) -> page.Report:
-    """The page: figures, other pictures by section, what failed, what must show and what was measured."""
+    """The page: figures, other pictures by section, what failed and what was measured."""
     own: dict[str, list[ShownScene]] = {}
     for one in found.shown:
         if not any(one.name in verdict.figure.scenes for verdict in found.verdicts):
@@ -187,7 +178,6 @@ def report(kind: Gallery, found: Judged, about: dict[str, str]) -> page.Report:
         *figure_sections(kind, found),
         *((heading, [page.Pictures(_pictures(kind, ones))]) for heading, ones in own.items()),
         ("Failed", [failures(found)]),
-        ("What must show", [page.Table(DIFFERENCE_HEADINGS, found.differences, ASKED)]),
         ("Measured", [measured]),
     ]
     return page.Report(kind.title, kind.lead, sections, about, {}, [figures, measured])
@@ -196,7 +186,7 @@ def report(kind: Gallery, found: Judged, about: dict[str, str]) -> page.Report:
 def failures(found: Judged) -> page.Table:
     """A row a scene that failed."""
     lost = [[one.name, f"failed, {one.failed}"] for one in found.shown if one.failed]
-    where = "What these show is where they got to; what must show is not asked of them."
+    where = "What these show is where they got to; no figure is judged by them."
     return page.Table(("scene", "why"), lost, where)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from nuno.dye.painter import DyePainter
 from nuno.dye.run import DyeRun
@@ -255,9 +256,7 @@ def _uneven(dyed: Dyed) -> tuple[Float, Bool, float]:
 
 def _smooth(values: Float, reach: int = 1) -> Float:
     """Means over neighbours up to `reach` away, 3 x 3 for 1."""
-    wide, (ny, nx), side = np.pad(values, reach, mode="edge"), values.shape, range(2 * reach + 1)
-    mean: Float = np.mean([wide[i : i + ny, j : j + nx] for i in side for j in side], axis=0)
-    return mean
+    return np.asarray(uniform_filter(values, 2 * reach + 1, mode="nearest"))
 
 
 def _near(values: Float, dyed: Dyed) -> Bool:

@@ -1,12 +1,11 @@
-"""A kind of scenes for `nuno gallery`: their files, how one is run and measured, and what they must show, as figures of
-a paper or as differences.
+"""A kind of scenes for `nuno gallery`: their files, how one is run and measured, and the figures of a paper that
+they are.
 """
 
 from __future__ import annotations
 
 import base64
 import io
-import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,18 +21,6 @@ from nuno.scene.scene_file import Loaded
 from nuno_bench.report.page import Table, number
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.pictures import Picture
-
-EFFECT = 1.2
-"""Least ratio by which a difference counts as shown."""
-DIFFERENCE_HEADINGS = ("what must show", "of", "against", "ratio", "verdict")
-
-
-class Difference(NamedTuple):
-    """A measure of one scene that must be above a measure of the same or of another scene."""
-
-    says: str
-    high: tuple[str, str]
-    low: tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -123,7 +110,6 @@ class Gallery:
     apart        label of pictures that stand after the others of a section
     alike        whether the scenes take about as long, so that none is tried beforehand
     figures      of a paper; their scenes' pictures stand under them instead of under a section
-    differences  what must show
     """
 
     title: str
@@ -136,7 +122,6 @@ class Gallery:
     alike: bool = False
     table: Callable[[Sequence[ShownScene]], Table] = list_measured
     figures: Sequence[Figure] = ()
-    differences: Sequence[Difference] = ()
 
 
 Look = Callable[[Loaded, Recording, Path], tuple[list[tuple[str, Picture]], Mapping[str, float]]]
@@ -185,24 +170,6 @@ def embed(picture: Picture) -> str:
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, format="PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
-
-
-def compare(differences: Sequence[Difference], shown: Mapping[str, ShownScene]) -> list[list[str]]:
-    """Rows under DIFFERENCE_HEADINGS, of those differences whose scenes have all been run.
-
-    A difference shows where the ratio is EFFECT at least. A first value above 0 is infinitely many times a second one
-    that is not; any other is no multiple of anything, and misses, as does a value that could not be measured.
-    """
-    rows = []
-    for says, *sides in differences:
-        if all(scene in shown for scene, _ in sides):
-            more, less = (shown[scene].measured.get(measure, math.nan) for scene, measure in sides)
-            ratio = math.nan if not more > 0.0 or math.isnan(less) else more / less if less > 0.0 else math.inf
-            texts = [
-                f"{scene}, {measure}: {number(x)}" for (scene, measure), x in zip(sides, (more, less), strict=True)
-            ]
-            rows.append([says, *texts, number(ratio), "bar met" if ratio >= EFFECT else "missed"])
-    return rows
 
 
 def judge_figures(figures: Sequence[Figure], shown: Mapping[str, ShownScene]) -> list[Verdict]:

@@ -1,4 +1,4 @@
-"""The knit paper's figures and other shipped knits: run, drawn, and held against what they must show."""
+"""The knit paper's figures and other shipped knits: run, drawn, and held against what the paper says."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno.simulation.yarns import named_heights
 from nuno_bench.gallery.kind import (
-    Difference,
     Figure,
     Finding,
     Gallery,
@@ -65,8 +64,8 @@ WORN = (
 CLOSE = {"stocking-leg": ("view.target=[0,0.33,0.03]", "view.distance=0.16", "view.yarns.radius=0.2mm")}
 """Scenes whose yarns are shown from near, too, and where."""
 
-COURSE, WALE, COMPRESSION = "stitch-stretch-course", "stitch-stretch-wale", "stocking-compression"
-CHECK, COARSE, FINE, SUPPORT = "stitch-10x10", "stocking-150", "stocking-300", "stocking-support"
+COURSE, WALE = "stitch-stretch-course", "stitch-stretch-wale"
+CHECK, COARSE, FINE = "stitch-10x10", "stocking-150", "stocking-300"
 STEPS = 100
 """The paper's steps of figure 8, each a frame."""
 REACH = 0.04
@@ -80,26 +79,6 @@ MOST, LEAST = "most points within 40 mm", "fewest points within 40 mm, off the e
 ZIGZAG, OPENING = "zigzag of wales", "most open course over the least"
 STRETCH, DENSITY, PRESSURE = "stretch of {}", "stitches at the {} [1/m2]", "pressure at the {} [Pa]"
 """Measures of a yarn's links, or at a named place."""
-
-
-def _between(says: str, scene: str, measure: str, high: str, low: str) -> Difference:
-    """One measure of one scene at two places, or of two yarns."""
-    return Difference(says, (scene, measure.format(high)), (scene, measure.format(low)))
-
-
-DIFFERENCES = (
-    _between("stiff yarn stretches less", COURSE, STRETCH, "nylon arcs", "support arcs"),
-    _between("stiff yarn stretches less", WALE, STRETCH, "nylon legs", "support legs"),
-    *(
-        _between("stitches are closer at the ankle", name, DENSITY, "ankle", "knee")
-        for name in (COARSE, FINE, "stocking-leg")
-    ),
-    *(
-        _between(f"pressure falls from {low} to {high}", name, PRESSURE, low, high)
-        for name in (COMPRESSION, SUPPORT)
-        for low, high in (("ankle", "calf"), ("calf", "thigh"))
-    ),
-)
 
 
 def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
@@ -416,7 +395,6 @@ KIND = Gallery(
     "pictures follow its figures.",
     scenes=partial(find_scenes, "knit"),
     run_scene=partial(show_scene, look=look),
-    differences=DIFFERENCES,
     figures=FIGURES,
     measures="Links by mean elongation; stitches over their area and pressure as means of 2 cm at each place.",
 )
