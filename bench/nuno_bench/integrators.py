@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nuno.collision.bodies import build_bodies
 from nuno.collision.distance import signed_distance
@@ -80,22 +79,13 @@ class Trace:
         """
         energy = self.series["energy"]
         most = RUNAWAY * self.lift if self.lift > 0.0 else np.inf
-        return self.first(energy - energy[0] > most)
-
-    def first(self, happened: NDArray[np.bool_]) -> float | None:
-        """Time of the first frame in which something happened, or the state was not finite [s]."""
-        frames = np.flatnonzero(happened | ~np.isfinite(self.series["energy"]))
+        frames = np.flatnonzero((energy - energy[0] > most) | ~np.isfinite(energy))
         return float(self.series["t"][frames[0]]) if frames.size else self.ended
 
     @property
-    def rounds(self) -> tuple[float, ...]:
-        """Time of a step in each repeat [us]; runs that end early take fewer steps."""
-        return tuple(seconds / max(1, self.steps) * 1e6 for seconds in self.seconds)
-
-    @property
     def microseconds(self) -> float:
-        """Median time of a step [us]."""
-        return statistics.median(self.rounds)
+        """Median time of a step [us]; runs that end early take fewer steps."""
+        return 1e6 * statistics.median(self.seconds) / max(1, self.steps)
 
     def finite(self, name: str) -> Float:
         """The finite values of a series."""
