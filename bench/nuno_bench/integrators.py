@@ -255,8 +255,7 @@ def report(scene: str, traces: Sequence[Trace], cells: Sequence[Cell], about: Ma
     table = runs(traces)
     drawn = [(name, [figure([trace for trace in traces if trace.split == split])])
              for split, name in ((True, "Bones in pieces"), (False, "Whole bones"))]  # fmt: skip
-    says = "Where it holds what the skirt paper says"
-    sections: page.Sections = [(says, [where, drawn_map]), ("Runs", [table]), *drawn]
+    sections: page.Sections = [("Where it holds as the paper says", [where, drawn_map]), ("Runs", [table]), *drawn]
     data = {"runs": [vars(trace) | trace.derived for trace in traces]}
     rows = [{"integrator": trace.integrator, "split": trace.split} | dict(zip(SERIES, values, strict=True))
             for trace in traces for values in zip(*(trace.series[name] for name in SERIES), strict=True)]  # fmt: skip

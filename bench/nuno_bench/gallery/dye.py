@@ -177,12 +177,7 @@ def dyed_share(dyed: Dyed) -> float:
 def fixed_share(dyed: Dyed) -> float:
     """The same of what fibre has fixed, of the part that shows fibre."""
     fibre = np.where(dyed.cells.up[1], dyed.cells.fibre[1], dyed.cells.fibre[0])
-    return dyed_share(drop_mobile(dyed)) / float(fibre.mean())
-
-
-def drop_mobile(dyed: Dyed) -> Dyed:
-    """The cloth without its mobile dye."""
-    return dyed._replace(phi=np.zeros_like(dyed.phi))
+    return dyed_share(dyed._replace(phi=np.zeros_like(dyed.phi))) / float(fibre.mean())
 
 
 def rim(dyed: Dyed) -> float:
@@ -199,8 +194,9 @@ def resisted(dyed: Dyed) -> float:
 
 def mottle(dyed: Dyed) -> float:
     """Deviation of the crossings that show from the mean of those around them, as a share of the mean amount."""
-    rest, near, mean = _uneven(dyed)
-    return float(rest[near].std() / mean)
+    shown = crossings(dyed.shown, dyed.pitch)
+    near = _near(shown, dyed)
+    return float((shown - _smooth(shown))[near].std() / shown[near].mean())
 
 
 def streaks(dyed: Dyed) -> float:
@@ -245,13 +241,6 @@ def crossings(values: Float, pitch: int) -> Float:
     ny, nx = (n // pitch for n in values.shape)
     means: Float = values[: ny * pitch, : nx * pitch].reshape(ny, pitch, nx, pitch).mean(axis=(1, 3))
     return means
-
-
-def _uneven(dyed: Dyed) -> tuple[Float, Bool, float]:
-    """Crossings less the mean of those around them, which of them are near the dye, and their mean amount."""
-    shown = crossings(dyed.shown, dyed.pitch)
-    near = _near(shown, dyed)
-    return shown - _smooth(shown), near, float(shown[near].mean())
 
 
 def _smooth(values: Float, reach: int = 1) -> Float:

@@ -20,7 +20,7 @@ from nuno.recording.reader import Recording
 from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
-from nuno.simulation.yarns import named_heights
+from nuno.simulation.yarns import edge_yarns, named_heights
 from nuno_bench.gallery.kind import (
     Figure,
     Finding,
@@ -112,7 +112,10 @@ def _measure(loaded: Loaded, recording: Recording, knit: Knitted, report: Mappin
         bodies = build_bodies(loaded)
         skin = surface(bodies.geometry).at(bodies.poses(read_frame(recording).t))
         found |= {INSIDE: float(report["last_penetration"])} | count_near(knit, skin)
-        found |= measure_repair(recording) | measure_shares(loaded, recording)
+        repair = make_yarns(recording, read_frame(recording), "straight").facts
+        found |= {CUT: float(repair["repaired"]), REPAIRED: float(repair["deepest"])} | measure_shares(
+            loaded, recording
+        )
     return found
 
 
@@ -131,12 +134,6 @@ def count_near(knit: Knitted, skin: Float) -> dict[str, float]:
     low, high = knit.x[0, :, 1].max() + REACH, knit.x[-1, :, 1].min() - REACH
     inner = (skin[:, 1] > low) & (skin[:, 1] < high)
     return {MOST: float(near.max()), LEAST: float(near[inner].min())}
-
-
-def measure_repair(recording: Recording) -> dict[str, float]:
-    """How many straight links the repair bends round the body, and how deep a yarn lies after it [m]."""
-    facts = make_yarns(recording, read_frame(recording), "straight").facts
-    return {CUT: float(facts["repaired"]), REPAIRED: float(facts["deepest"])}
 
 
 def draw_repair(loaded: Loaded, recording: Recording) -> Picture:
@@ -321,12 +318,10 @@ def run_panel(name: str, ratio: float, mu: float) -> Knitted:
     while not simulation.finished:
         simulation.advance(None, None)
     config, fabric = loaded.models[0].config.model_dump(), simulation.fabric
-    assert fabric.springs is not None
+    springs, threads, kind = fabric.springs, fabric.yarns, edge_yarns(fabric)
+    assert springs is not None and threads is not None and kind is not None
     x = simulation.state.x.reshape(config["courses"] + 1, 2 * config["wales"], 3)
-    pairs = fabric.springs.pairs()
-    return Knitted(
-        x, pairs, fabric.springs.per_spring(fabric.springs.rest), np.full(len(pairs), -1, np.int8), (), False
-    )
+    return Knitted(x, springs.pairs(), springs.per_spring(springs.rest), kind, tuple(threads.names), False)
 
 
 def judge_fit(measured: Measures) -> Finding:

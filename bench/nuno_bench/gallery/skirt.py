@@ -32,7 +32,7 @@ from nuno_bench.integrators import (
     regions,
     setting_overrides,
 )
-from nuno_bench.report.page import Table, number
+from nuno_bench.report.page import number
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import PENETRATION
 from nuno_schemas.pictures import Picture
@@ -147,12 +147,8 @@ def judge_runge_kutta(measured: Measures) -> Finding:
     return Finding(value, time > 1.0 and 2 * deeper > len(depths), NOT_RUNGE_KUTTA)
 
 
-@cache
-def swept() -> Table:
-    """Where each sentence of the paper holds."""
-    return regions(cells())
-
-
+SWEEP = cache(lambda: regions(cells()))
+"""Where each sentence of the paper holds."""
 NOT_RUNGE_KUTTA = (
     "A vertex at rest sinks by m g / k under any method, and in an impact the depth is that of the same spring. "
     "By the formulas as they are printed, with damping frozen at the step's start, cloth sinks in deeper at some "
@@ -164,7 +160,7 @@ def _figure(
     number: int, sentence: str, criterion: str, judge: Callable[[Measures], Finding], reading: str = ""
 ) -> Figure:
     """A figure of the paper: its pictures have its number, and the map is its sweep where it is judged by the map."""
-    sweep = None if judge is judge_fb_euler else swept
+    sweep = None if judge is judge_fb_euler else SWEEP
     return Figure(str(number), sentence, criterion, (SCENE,), judge, (f"figure {number},",), reading, sweep)
 
 

@@ -60,13 +60,15 @@ def scenes() -> dict[str, Path]:
     return {name: known[name] for name in NAMES if name in known}
 
 
-def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
-    """Draw the stages of a recording, and measure its lines."""
+def look(
+    loaded: Loaded, recording: Recording, folder: Path, drawn: bool = True
+) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
+    """Draw the stages of a recording, if asked, and measure its lines."""
     frames = _stages(loaded, recording)
     pictures = [
         (f"{label}, {frame.t:.3g} s",
          read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
-        for label, frame in frames.items()
+        for label, frame in frames.items() if drawn
     ]  # fmt: skip
     if loaded.scene.name == BLOOM:
         return pictures, _measure_skirt(recording, frames, loaded)
@@ -364,7 +366,7 @@ def sweep_shirt() -> Table:
     rows = []
     for name, own in SHIRTS.items():
         try:
-            shown = show_scene(scenes()[SHIRT], measure_only, whole=True, overrides=own)
+            shown = show_scene(scenes()[SHIRT], partial(look, drawn=False), whole=True, overrides=own)
             if shown.failed:
                 rows.append([name, f"failed: {shown.failed}", "no"])
                 continue
@@ -373,13 +375,6 @@ def sweep_shirt() -> Table:
         except BadInput as error:
             rows.append([name, f"refused: {error.problem}", "no"])
     return Table(("variant", "at the end", "as the paper says"), rows, "Shares of what was drawn.", prose=True)
-
-
-def measure_only(
-    loaded: Loaded, recording: Recording, folder: Path
-) -> tuple[list[tuple[str, Picture]], dict[str, float]]:
-    """As `look`, without pictures."""
-    return [], _measure(recording, _stages(loaded, recording), loaded)
 
 
 FIGURES = (

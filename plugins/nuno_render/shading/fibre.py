@@ -49,10 +49,8 @@ def find_energies(absorption: Float) -> tuple[Float, Float]:
     by TT, and by all other lobes, in the mean over a fibre's width at right angles to it.
     """
     h = (np.arange(64) + 0.5) / 64
-    outside, inside = np.sqrt(1.0 - h * h), np.sqrt(NYLON * NYLON - h * h)
-    parallel = (NYLON * NYLON * outside - inside) / (NYLON * NYLON * outside + inside)
-    across = (outside - inside) / (outside + inside)
-    reflected = 0.5 * (parallel * parallel + across * across)
+    inside = np.sqrt(NYLON * NYLON - h * h)
+    reflected = np.array([fresnel(cosine, NYLON) for cosine in np.sqrt(1.0 - h * h)])
     left = np.exp(-2.0 * np.asarray(absorption)[..., None] * inside / NYLON)
     passed = (1.0 - reflected) ** 2 * left
     back = reflected + passed * left * reflected / (1.0 - left * reflected)
