@@ -76,7 +76,8 @@ def _fit(piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float]
     seams = [] if corners is None else measure_seams(x, membrane, corners)
     pressed = measure_pressure(membrane, force, normals[start:stop])
     left = fabric.mass[start:stop, None] * forces.acceleration[start:stop]  # 0 for held vertices
-    over = float(np.linalg.norm(left, axis=1).sum() / max(np.linalg.norm(force, axis=1).sum(), 1e-300))
+    size, over = (float(np.linalg.norm(one, axis=1).sum()) for one in (force, left))
+    over = over / size if size > 0.0 else 0.0
     return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams)
 
 
@@ -262,7 +263,7 @@ class Spread:
 @dataclass(frozen=True)
 class Pressed:
     """Pressure of a garment on bodies: contact area [m^2], mean and 95th percentile there [Pa], and total force [N];
-    and what all forces on its vertices leave over, as a share of those of contact: 0 at rest.
+    and what all forces on its vertices leave over, as a share of those of contact: 0 at rest, and without contact.
     """
 
     area: float
