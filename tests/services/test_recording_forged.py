@@ -150,8 +150,8 @@ def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value:
     registry.load("nuno.cloth_contacts", "offset")
     kept = {"anchor": np.zeros((5, 4)), "anchored": np.zeros(5, bool), "reference": np.full((6, 3), np.nan)}
     kept |= {name: np.zeros((rows, 3)) for name, rows in {"motion": 6, "spread": 2, "unrest": 2, "last": 3}.items()}
-    kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64)}
-    own = {name: kept[name] for name in ("anchor", "anchored", "last", "clock", "so_far")}
+    kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64), "push": np.zeros((2, 3, 3))}
+    own = {name: kept[name] for name in ("anchor", "anchored", "last", "push", "clock", "so_far")}
     term = ContactState(*[None] * len(ContactState._fields))._replace(plan=SimpleNamespace(**kept), **own)
     packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(state_arrays=dict, bounds=dict)
     arrays, bounds = _state_arrays(cast(Any, packed), cast(Any, work))

@@ -33,7 +33,15 @@ def test_the_page_takes_nothing_from_elsewhere_and_is_small() -> None:
     files = page_files()
     text = "".join(body.decode() for _, body in files.values())
     assert set(re.findall(r"https?://[^\s\"'`]+", text)) == {"http://www.w3.org/2000/svg"}
-    assert len(text) < 250_000
+    # What a browser loads at first: styles, and scripts with all that they import beforehand.
+    loaded, waiting = set[str](), ["index.html"]
+    while waiting:
+        name = waiting.pop()
+        loaded.add(name)
+        named = re.findall(r'(?:href|src|from) ?=? ?"(?:\./)?([\w-]+\.(?:css|js))"', files[name][1].decode())
+        waiting += [one for one in named if one not in loaded]
+    assert {"main.js", "scene.js", "page.css", "weave.css"} <= loaded
+    assert sum(len(files[name][1]) for name in loaded) < 250_000
 
 
 def test_scenes_of_the_folder_and_those_with_nuno_are_listed(desk: Desk) -> None:

@@ -9,7 +9,6 @@ import { recording, recordings } from "./recordings.js";
 import { Replay } from "./replay.js";
 import { confirm, quiet } from "./say.js";
 import { SceneView } from "./scene.js";
-import { WeaveView } from "./weave.js";
 
 const view = document.getElementById("view");
 let scene = null, run = null, shown = "";
@@ -67,7 +66,12 @@ async function route() {
   view.replaceChildren();
   if (what === "draw" && !name) scene = new RunView(view);
   else if (what === "scene" || what === "draw") { scene = new SceneView(view, name); await scene.open(what === "draw"); }
-  else if (what === "weave") { scene = new WeaveView(view, name); await scene.open(); }
+  else if (what === "weave") {
+    const { WeaveView } = await import("./weave.js");  // few draw weaves: nobody else loads it
+    if (shown !== hash) return;
+    scene = new WeaveView(view, name);
+    await scene.open();
+  }
   else if (what === "runs") await recordings(view);
   else if (what === "files") await files(view);
   else if (what === "run") { run = new Replay(name); await recording(view, name, run); }

@@ -7,8 +7,10 @@ import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { Schema } from "./schema.js";
 import { Text } from "./text.js";
-import { handed } from "./weave.js";
 import { count } from "./words.js";
+
+/** Weaves that scenes are to have when they are opened next, by the scenes' names. */
+export const handed = new Map();
 
 /** How long nothing is typed [ms] until the text is checked. */
 const TYPED = 300;

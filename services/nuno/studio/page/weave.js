@@ -5,6 +5,7 @@ import { card } from "./files.js";
 import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { count } from "./words.js";
+import { handed } from "./scene.js";
 
 /** As the server's; a tie-up beyond so many treadles is written as a lift plan. */
 const MOST = 100, MOST_TREADLES = 32;
@@ -16,8 +17,6 @@ const HIGH = 500, CROSSING = [7, 44], RIM = 26, EDGE = 8, YARN = [2, 14];
 const WARP = "#26262b", WEFT = "#f5f2eb", LINE = "#b4bac1", MARK = "#e0701b";
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const $ = (id) => document.getElementById(`weave-${id}`);
-/** Weaves that scenes are to have when they are opened next, by the scenes' names. */
-export const handed = new Map();
 
 /** A grid of crossings that a weave is drawn in by mouse or keys, and the cloth that repeats it. */
 export class WeaveView {
