@@ -30,7 +30,7 @@ def test_more_threads_than_cores_give_the_same_bits(tmp_path: Path) -> None:
         "nuno": 1, "name": "threads", "duration": 0.02, "frame_rate": 100, "damping": 0.5,
         "solver": {"plugin": "symplectic_euler"}, "objects": [{"name": "cloth", "model": model}],
         "bodies": [{"name": "ball", "collider": {"plugin": "sphere", "radius": 0.1}}],
-        "forces": [{"plugin": "wind", "velocity": [3, 0, 1]}],
+        "forces": [{"plugin": "wind", "velocity": [3, 0, 1]}], "contact": {"plugin": "penalty", "margin": 0},
     }  # fmt: skip
     path = tmp_path / "scene.yaml"
     path.write_text(yaml.safe_dump(scene))
