@@ -29,7 +29,7 @@ from nuno_bench.gallery.kind import (
     embed,
     judge_figures,
 )
-from nuno_bench.report import page
+from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 
 KINDS: dict[str, Gallery] = {
@@ -57,6 +57,8 @@ def gallery_arguments(parser: argparse.ArgumentParser) -> None:
 def gallery_command(args: argparse.Namespace) -> int:
     """Run all scenes; 1 where one fails, or a figure is not reproduced and no sweep says why."""
     check_patterns(args)
+    if args.kind in ("knit", ALL_PAPERS):
+        plots.require_matplotlib()
     section = f"gallery {args.kind}"
     page.check_section(args.docs, section)
     if args.kind == ALL_PAPERS:

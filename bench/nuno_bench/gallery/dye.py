@@ -536,7 +536,7 @@ FIGURES = (
            reading="Lines are kept up, though the paper does not say so: at 1.0 V they hold too little to dye the "
            "cloth. Waves take 95 % of the room, and bleed by 0.1 mm."),
     Figure("13", "(No sentence: various weaves and parameters, none of which is printed.)",
-           "none of the paper; the scenes run, and keep their dye",
+           "the paper gives none; the scenes run, and keep their dye",
            ("fig13a", "fig13b", "fig13c"), judge_runs, reading="Weaves and parameters are ours."),
     Figure("14", "Left, yarns of simulation and photograph do not agree, and dye does not follow the yarns. Where they "
            "agree (middle), it looks more natural.",

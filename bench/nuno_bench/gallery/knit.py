@@ -157,7 +157,9 @@ def draw_repair(loaded: Loaded, recording: Recording) -> Picture:
     axis.set_ylim(*(1.2 * np.array([min(line.get_ydata().min() for line in axis.lines), 25.0])))
     axis.legend()
     figure.canvas.draw()
-    return np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
+    picture = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
+    pyplot().close(figure)
+    return picture
 
 
 def measure_shares(loaded: Loaded, recording: Recording) -> dict[str, float]:

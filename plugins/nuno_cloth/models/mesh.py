@@ -109,12 +109,14 @@ class Mesh:
 
     def doubts(self, config: MeshConfig, files: Files) -> tuple[str, ...]:
         """Describe a warp of measured cloth that is normal to more than SEEN_ACROSS of it."""
+        if not isinstance(resolve(config.fabric), Material):
+            return ()
         points, faces, *_ = read_mesh(files.resolve(config.file), config.merge)
         warp, normal = np.asarray(config.warp), np.cross(*np.diff(points[faces], axis=1).transpose(1, 0, 2))
         size = np.linalg.norm(normal, axis=1)
         across = np.linalg.norm(np.cross(warp, normal), axis=1) <= ACROSS * np.linalg.norm(warp) * size
         share = float(size[across].sum() / max(size.sum(), 1e-300))
-        if share <= SEEN_ACROSS or not isinstance(resolve(config.fabric), Material):
+        if share <= SEEN_ACROSS:
             return ()
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
         axis = "xyz"[int(second_axis(turn(matrix, warp)).argmax())]

@@ -81,10 +81,14 @@ def yarn_axes(corners: Float, warp: Float) -> tuple[Float, Float]:
     first = corners[:, 1] - corners[:, 0]
     normal = np.cross(first, corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    every = np.broadcast_to(warp / np.linalg.norm(warp, axis=-1, keepdims=True), normal.shape)
-    across = np.linalg.norm(np.cross(every, normal), axis=1) <= ACROSS
-    every = np.where(across[:, None], second_axis(every), every)
-    flat = every - normal * (every * normal).sum(1)[:, None]
+
+    def lay(axis: Float) -> Float:
+        return np.asarray(axis - normal * (axis * normal).sum(1)[:, None])
+
+    every = np.broadcast_to(warp, normal.shape)
+    flat, length = lay(every), np.linalg.norm(every, axis=1)
+    across = np.linalg.norm(flat, axis=1) <= ACROSS * length
+    flat[across] = lay(second_axis(every / length[:, None]))[across]
     along = flat / np.linalg.norm(flat, axis=1)[:, None]
     return along, np.cross(along, normal)
 

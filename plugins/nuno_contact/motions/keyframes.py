@@ -151,7 +151,7 @@ class Keyframes:
             for k in far[:1]
         ]
         pose = self.prepare(config, files).pose
-        (turn, place), (turned, moved) = (pose(float(c.times[k])) for k in (0, -1))
+        (turn, place), (turned, moved) = pose(float(c.times[0])), pose(float(c.times[-1]))
         if c.end == "loop" and (abs(float((turn * turned).sum())) < 1.0 - 1e-9 or not np.allclose(place, moved)):
             away = f"{float(norm(moved - place)[0]):.3g} m away, or turned"
             texts.append(f"end: the loop jumps from its last key to its first, {away}: let it end as it begins")

@@ -115,6 +115,8 @@ def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: i
 def credit_change(m: ContactState, change: Float) -> None:
     """Count a change of velocities (3, n) among the impulses, of what has pushed each vertex most in the interval."""
     for i in range(m.push.shape[1]):
+        if change[0, i] == 0.0 and change[1, i] == 0.0 and change[2, i] == 0.0:
+            continue
         most, strongest = 0, 0.0
         for part in range(m.push.shape[0]):
             size = m.push[part, i, 0] ** 2 + m.push[part, i, 1] ** 2 + m.push[part, i, 2] ** 2

@@ -18,7 +18,7 @@ from nuno_schemas.units import to_si
 SEAMS = 8
 """Most seams in the text, those with the largest pull."""
 UNBALANCED = 0.1
-"""Share of contact forces from which on what is left over of all forces is told."""
+"""Sum of all forces, as a share of those of contact, above which the text says that they do not balance."""
 
 
 def fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +73,7 @@ def describe(fit: Fit) -> str:
         text = f"{p.mean:.0f} Pa on {1e4 * p.area:.0f} cm² of cloth, 95 % of it below {p.high:.0f} Pa"
         lines += ["", f"presses    {text}; {p.force:.2f} N in all"]
         if p.unbalanced > UNBALANCED:
-            text = "it is not at rest, or its contact bears more than this solver tells"
+            text = "it is not at rest, or its contact bears more than this solver reports"
             lines += ["", f"unbalanced by {p.unbalanced:.0%} of these forces: {text}"]
     if fit.off:
         lines += ["", "worn       not at all: it touches the body nowhere, and is not on yet, or has slid off"]
