@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse
+from scipy.integrate import cumulative_trapezoid
 from triangle_sheets import matrix
 
 from nuno.scene.files import SceneFiles
@@ -16,6 +18,7 @@ from nuno_cloth.models.bending import build_bending, plate
 from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.mesh import Mesh, MeshConfig
+from nuno_cloth.models.patches import flip_slivers
 from nuno_cloth.models.triangles import face_areas, yarn_axes
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 
@@ -110,24 +113,82 @@ def test_a_ribbon_drops_as_its_rigidity_asks_for_wherever_its_vertices_are(
                 assert highest(fabric) < (1.2 if jitter < 0.02 else 9.0) * highest(even)
 
 
-def test_ribbons_of_very_uneven_width_drop_so_too() -> None:
-    """0.4 to 1.6 cells wide, and leaning to and fro: 40 of 40 within 2 %."""
-    for seed in range(40):
-        points, faces, held = ribbon(1, seed % 2 == 1, 0.3, True, 100 + seed)
-        fabric = cut(points, faces, held, CLOTH)
-        beam = expected_drop(fabric.position[:, :2], fabric.mass, 1, 5e-5, 4.0 * CLOTH.bend_twist)
-        assert drop(fabric)[-2:].mean() == pytest.approx(beam, rel=0.02), seed
-
-
-@pytest.mark.full
-def test_few_ribbons_of_very_uneven_width_drop_otherwise() -> None:
-    """Of 560 six are beyond 2 %, where a neck of half a cell or less bends sharply; the worst is 9 % off."""
-    errors = []
-    for seed in (*range(100, 380), *range(1000, 1280)):
+@pytest.mark.parametrize("seeds", [
+    range(100, 140), pytest.param((*range(140, 380), *range(1000, 1280)), marks=pytest.mark.full),
+])  # fmt: skip
+def test_ribbons_of_very_uneven_width_drop_so_too(seeds: Iterable[int]) -> None:
+    """0.4 to 1.6 cells wide, and leaning to and fro: all 560 within 1 %."""
+    for seed in seeds:
         fabric = cut(*ribbon(1, seed % 2 == 1, 0.3, True, seed), CLOTH)
         beam = expected_drop(fabric.position[:, :2], fabric.mass, 1, 5e-5, 4.0 * CLOTH.bend_twist)
-        errors.append(abs(drop(fabric)[-2:].mean() / beam - 1.0))
-    assert sum(error > 0.02 for error in errors) <= 6 and (np.sort(errors)[-3:] < [0.025, 0.045, 0.09]).all()
+        assert drop(fabric)[-2:].mean() == pytest.approx(beam, rel=0.01), seed
+
+
+def test_a_moment_alike_all_along_bends_a_ribbon_as_a_beam() -> None:
+    """A couple on the last four vertices, without torsion: heights are within 1 %, wherever vertices are."""
+    for seed in range(20):
+        points, faces, held = ribbon(1, seed % 2 == 1, 0.3, True, seed)
+        fabric = cut(points, faces, held, CLOTH)
+        x, free = fabric.position[:, :2], ~fabric.pinned
+        force, found = np.zeros(len(x)), np.zeros(len(x))
+        force[-4:] = np.linalg.pinv(np.column_stack([np.ones(4), x[-4:]]).T) @ [0.0, 1.0, 0.0]
+        found[free] = scipy.sparse.linalg.spsolve(matrix(fabric)[free][:, free], force[free])
+        place = np.linspace(CELL, x[-4:, 0].min(), 4000)
+        low, high = (np.interp(place, *x[row::2].T) for row in (0, 1))
+        twist = np.square(np.gradient(0.5 * (low + high), place)) / (4.0 * CLOTH.bend_twist)
+        curvature = (1.0 / 5e-5 + twist) / (high - low)
+        height = cumulative_trapezoid(cumulative_trapezoid(curvature, place, initial=0.0), place, initial=0.0)
+        expected = np.interp(x[56:58, 0], place, height).mean()
+        assert found[56:58].mean() == pytest.approx(expected, rel=0.01), seed
+
+
+def scattered_borders(seed: int) -> tuple[Float, Int, Bool]:
+    """A ribbon as wide as long cells, with 28 vertices anywhere on each border, joined after Delaunay."""
+    rng, ends = np.random.default_rng(seed), [[x, y] for x in (0.0, 1.0, LONG) for y in (0.0, 1.0)]
+    rows = [np.column_stack([np.sort(rng.uniform(1.1, LONG - 0.1, 28)), np.full(28, y)]) for y in (0.0, 1.0)]
+    points = np.vstack([ends, *rows])
+    return points, triangulate(points), points[:, 0] <= 1.0
+
+
+def even_drop(fabric: Fabric, start: float = CELL) -> float:
+    """Of the end of a beam one cell wide that is clamped up to `start`."""
+    place = np.linspace(start, fabric.position[:, 0].max(), 4000)
+    moment = (fabric.mass * np.maximum(fabric.position[:, 0] - place[:, None], 0.0)).sum(axis=1)
+    return float(np.trapezoid(moment / (5e-5 * CELL) * (place[-1] - place), place))
+
+
+@pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 120), marks=pytest.mark.full)])
+def test_a_ribbon_with_vertices_anywhere_on_its_borders_drops_so_too(seeds: range) -> None:
+    """19 of 20 within 2 %, all within 10 %, with a step as long as on regular cells a quarter as long."""
+    errors, least = [], highest(cut(*ribbon(1, True, 0.0), CLOTH)) * 4.0**4
+    for seed in seeds:
+        points, faces, held = scattered_borders(seed)
+        fabric = cut(points, faces, held, CLOTH)
+        errors.append(abs(drop(fabric)[points[:, 0] == LONG].mean() / even_drop(fabric) - 1.0))
+        assert highest(fabric) < least, seed
+    assert np.mean(np.array(errors) < 0.02) >= 0.95 and max(errors) < 0.1
+
+
+@pytest.mark.parametrize("length", [0.25, 0.5, 2.0, 10.0])
+def test_cells_of_a_ribbon_may_be_short_or_long(length: float) -> None:
+    """Within 2 %, whichever way they are cut."""
+    for alternate in (True, False):
+        points, faces, held = ribbon(1, alternate, 0.0)
+        fabric = cut(points * [length, 1.0], faces, held, CLOTH)
+        assert drop(fabric)[-2:].mean() == pytest.approx(even_drop(fabric, length * CELL), rel=0.02)
+
+
+def test_vertices_of_one_border_may_be_as_near_as_they_like() -> None:
+    """The step is a third of that on regular cells at least, and the ribbon drops as far."""
+    points, faces, held = ribbon(1, True, 0.0)
+    one = next(k for k, face in enumerate(faces) if {32, 34} <= set(face))
+    even = cut(points, faces, held, CLOTH)
+    for near in (0.3, 0.1, 1e-2, 1e-4, 1e-6, 1e-8):
+        more = np.vstack([points, points[32] + [near, 0.0]])
+        two = [np.where(faces[one] == other, len(points), faces[one]) for other in (32, 34)]
+        cloth = cut(more, np.vstack([np.delete(faces, one, 0), two]).astype(np.int32), np.append(held, False), CLOTH)
+        assert highest(cloth) < 9.0 * highest(even)
+        assert drop(cloth)[64:66].mean() == pytest.approx(even_drop(cloth), rel=0.01)
 
 
 @pytest.mark.parametrize("wide", [1, 2, 4])
@@ -229,8 +290,8 @@ def test_files_of_a_ribbon_and_of_a_bow_bend_as_they_are_drawn(shared_data: Path
     assert highest(bow) < 1.0
 
 
-def plate_drop(fabric: Fabric, material: Material) -> float:
-    """Of the ends of a ribbon along x, an isotropic plate of Morley's triangles (1968, Aeronaut. Q. 19, 149-169), each
+def plate_drop(fabric: Fabric, material: Material, wide: int = 1) -> float:
+    """Of the end of a ribbon along x, an isotropic plate of Morley's triangles (1968, Aeronaut. Q. 19, 149-169), each
     cut into 16 and into 64, and by the two as if there were no end to cutting.
     """
     x, faces, found = fabric.position[:, :2], fabric.faces, []
@@ -239,7 +300,9 @@ def plate_drop(fabric: Fabric, material: Material) -> float:
                                    return_inverse=True)  # fmt: skip
         sides, middle = len(x) + of_face.reshape(3, -1).T, x[edges].mean(axis=1)
         if cuts >= 2:
-            found.append(_morley(x, faces, edges, sides, plate(material), fabric.mass)[: fabric.number][-2:].mean())
+            found.append(
+                _morley(x, faces, edges, sides, plate(material), fabric.mass)[: fabric.number][-wide - 1 :].mean()
+            )
         a, b, c = sides.T
         around = [np.stack([faces[:, k], sides[:, k], sides[:, k - 1]], axis=1) for k in range(3)]
         x, faces = np.vstack([x, middle]), np.vstack([*around, np.stack([a, b, c], axis=1)])
@@ -288,6 +351,44 @@ def test_a_ribbon_one_cell_wide_drops_so_with_any_border(seeds: int, jitter: flo
                 off.append(abs(drop(fabric)[-2:].mean() / expected - 1.0))
     assert max(off) < (0.035 if jitter > 0.2 else 0.02)
     assert np.mean(np.array(off) < 0.02) >= 0.95
+
+
+def test_slivers_of_flat_pieces_are_flipped_and_no_others() -> None:
+    """The pieces stay as large, no side lies between wide angles, and regular cells keep theirs whatever is rounded."""
+    rng = np.random.default_rng(3)
+    for jitter in (0.0, 1e-9, 1e-3, 0.35):
+        points, faces, _ = ribbon(6, True, jitter, True, 7)
+        corners = np.column_stack([points, np.zeros(len(points))])[faces]
+        piece = (corners[:, :, 0].mean(axis=1) > 16.0).astype(np.int32)
+        found, flipped = flip_slivers(corners, faces, piece)
+        assert (jitter > 0.1) == bool((flipped != faces).any())
+        assert np.array_equal(np.column_stack([points, np.zeros(len(points))])[flipped], found)
+        for one in (0, 1):
+            assert face_areas(found)[piece == one].sum() == pytest.approx(face_areas(corners)[piece == one].sum())
+        again, same = flip_slivers(found, flipped, piece)
+        assert np.array_equal(again, found) and np.array_equal(same, flipped)
+    bent = np.column_stack([points, 0.2 * rng.uniform(size=len(points))])[faces]
+    assert np.array_equal(flip_slivers(bent, faces, piece)[1], faces)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("wide", [2, 3, 4, 6, 8])
+def test_wider_ribbons_of_very_uneven_cells_drop_so_too(wide: int) -> None:
+    """Off by 0.3 of a cell, slivers in line across some: 49 of 50 are within 2 % of the beam, and the others of a
+    plate. One in two hundred has triangles that are turned over, and is no mesh.
+    """
+    others = 0
+    for seed in range(200):
+        points, faces, held = ribbon(wide, seed % 2 == 1, 0.3, True, seed)
+        one, two = (points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))
+        if (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).min() <= 0.0:
+            continue
+        fabric = cut(points, faces, held, CLOTH)
+        found = drop(fabric)[-wide - 1 :].mean()
+        if found != pytest.approx(expected_drop(fabric.position[:, :2], fabric.mass, wide, 5e-5), rel=0.02):
+            others += 1
+            assert found == pytest.approx(plate_drop(fabric, CLOTH, wide), rel=0.02), seed
+    assert others <= 4
 
 
 @pytest.mark.parametrize(

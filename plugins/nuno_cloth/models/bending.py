@@ -25,25 +25,23 @@ the fit's coefficient y that c does not explain costs (y - s c)^2 as the residua
 s = WEAK this is the fit, and at s = 0 the curvature is free: a ribbon one cell wide curls up across, and two pieces
 that share a vertex turn freely. The matrix is bounded on any mesh and a continuous function of its vertices.
 
-All vertices of a ribbon one cell wide are on borders. The same moment all along curves it as 1 / w, w its width, and as
-f / w where its middle is at an angle a to its direction over every two edges: f = m^T D^-1 m over the same at a = 0, m
-the moments 1 along the middle and tan a of torsion (sin a, which is bounded). There unit curvature along the ribbon is
-g f / w, with A / g^2 half the integral of f / w over the triangle's border: A K^T D K / 2 is the energy of that moment.
+Ribbons one triangle wide, whose vertices are all on borders, have a law of their own (nuno_cloth.models.ribbons).
 
 Rejected: hinges, k = B e^2 / (A_1 + A_2), 0.89 to 1.10 of B by the mesh, and with no choice of Poisson's ratio; the
 quadratic through a triangle's and its neighbours' six vertices, 0.67 of B where diagonals alternate; weak curvatures
-as 0, 1.11 of B for an isotropic ribbon one cell wide along the bias; quadratics for ribbons of uneven width, 1.06.
+as 0, 1.11 of B for an isotropic ribbon one cell wide along the bias.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nuno_cloth.fabrics.material import Materials
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.patches import Patches, Sides, find_patches, find_sides
+from nuno_cloth.models.patches import find_patches, find_sides, flip_slivers
+from nuno_cloth.models.ribbons import bend_ribbons
 from nuno_schemas.fabric import Bending, Bool, Float, Int
 
 NEAR, STEEP = 1.0, 3
@@ -51,14 +49,6 @@ FIT = 130.0
 WEAK = 0.22
 """Singular values, over the root of the sum of squared weights, below which a patch does not determine a curvature:
 below the least of patterns that are cut and meshed here."""
-RIBBON_STEEP, RIBBON_WEAK, NEAREST = 7, 0.14, 0.2
-"""STEEP and WEAK of ribbons one cell wide, where distant vertices tell little of a triangle's curvature; and, where a
-patch ends at one border first, the weight of the last known width beyond it, beside the mean. Of the 560 ribbons off by
-0.3 of a cell of tests/physics/test_ribbons.py 6 are beyond 2 %, all with a neck."""
-IN_CLAMP, MOST = 2.0, 2.5
-"""Weight of a clamp's vertices in ribbons: a regular one drops 0.3 % too far with 2, 0.8 % with 1 and 0.5 % with 4.
-Curvature differs at most MOST times from the triangle's, which 1.5 takes too much off at a neck (10 of 560 beyond 2 %),
-and not in patches hardly longer than wide: for the step."""
 WIDEST = 20.0
 """Largest radius of a patch over the length by which weights fall off, which bounds the weights of slivers."""
 AT_ONCE = 8192
@@ -79,19 +69,23 @@ def build_bending(
     vertices faces (f, 3); `held` (n,) marks held vertices. None where no vertex can bend.
     """
     n, cloth = len(held), Materials.spread(material, len(faces))
+    piece = np.column_stack([cloth.fabric_index, np.round(warp, 6), np.round(weft, 6)])
+    corners, faces = flip_slivers(corners, faces, np.unique(piece, axis=0, return_inverse=True)[1])
     rigidity = np.array([plate(fabric) for fabric in cloth.fabrics])
     clamp = find_clamp(faces, held)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not rigidity.any() or n < 4 or not len(loose):
         return None
-    sides, parts = find_sides(corners, faces), []
+    sides = find_sides(corners, faces)
+    narrow, vertices, matrix = bend_ribbons(sides, clamp.faces, warp, weft, rigidity[cloth.fabric_index])
+    loose, parts = np.setdiff1d(loose, narrow), [_pairs(vertices, -matrix, n)]
     for at in range(0, len(loose), AT_ONCE):
         triangles = loose[at : at + AT_ONCE]
         part = find_patches(sides, triangles, warp[triangles], weft[triangles])
         middle, base = part.flat[:, :3].mean(axis=1, keepdims=True), clamp.base(part.vertices, part.flat, part.there)
         side = np.sqrt(4.0 / np.sqrt(3.0) * part.area)
         flat, base, stiffness = part.flat - middle, base - middle, rigidity[cloth.fabric_index[triangles]]
-        fitted = fit(flat, base, part.there, side, stiffness, _find_ribbons(sides, part, flat, base, stiffness))
+        fitted = fit(flat, base, part.there, side, stiffness)
         cost = FIT * np.sqrt(stiffness[:, 0, 0] * stiffness[:, 1, 1])[:, None, None]
         matrix = np.einsum("fak,fab,fbl->fkl", fitted.second, stiffness, fitted.second, optimize=True)
         matrix += cost * np.einsum("frk,frl->fkl", fitted.left, fitted.left)
@@ -140,24 +134,18 @@ def find_clamp(faces: Int, held: Bool) -> Clamp:
     return Clamp(rigid, behind & ~loose, behind & loose)
 
 
-def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float, ribbons: Any = (slice(0), 0.0)) -> Fit:
+def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float) -> Fit:
     """Fit a quadratic function to patches with vertices at flat (f, k, 2) [m] along weft and warp from the point where
     it is evaluated; `there` (f, k) masks padding, `side` (f,) is the length [m] by which weights fall off, `rigidity`
-    (f, 3, 3) is D [N m]. A vertex with another `base` is on the tangent there; `ribbons` of _find_ribbons.
+    (f, 3, 3) is D [N m]. A vertex with another `base` is on the tangent there.
     """
     side = np.maximum(side, np.where(there, np.linalg.norm(flat, axis=2), 0.0).max(axis=1) / WIDEST)
     places, base = flat / side[:, None, None], base / side[:, None, None]
-    some, above = ribbons
-    steep, least = np.full((len(side), 1), STEEP), np.full(len(side), WEAK)
-    steep[some], least[some] = RIBBON_STEEP, RIBBON_WEAK
-    weight = np.where(there, (NEAR + np.linalg.norm(places, axis=2)) ** (-steep / 2), 0.0)
-    weight[some] *= np.where(np.any(places[some] != base[some], axis=2), IN_CLAMP, 1.0)
+    weight = np.where(there, (NEAR + np.linalg.norm(places, axis=2)) ** (-STEEP / 2), 0.0)
     (weft, warp), (weft0, warp0) = np.moveaxis(places, 2, 0), np.moveaxis(base, 2, 0)
     plane = np.stack([np.ones_like(warp), warp, weft], axis=2) * weight[..., None]
     squares = warp0 * (warp - 0.5 * warp0), weft0 * (weft - 0.5 * weft0), warp0 * weft + weft0 * warp - warp0 * weft0
-    curved = np.stack(squares, axis=2)
-    curved[some] += above / np.square(side[some])[:, None, None]
-    curved *= weight[..., None]
+    curved = np.stack(squares, axis=2) * weight[..., None]
     # Planes first, so that they add no curvature even where too few vertices determine all curvatures.
     level, upper = np.linalg.qr(plane)
     bent = curved - level @ (level.transpose(0, 2, 1) @ curved)
@@ -169,27 +157,23 @@ def fit(flat: Float, base: Float, there: Bool, side: Float, rigidity: Float, rib
     second = (v.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
     explained = np.concatenate([level, u], axis=2)
     residual = number - explained @ explained.transpose(0, 2, 1)
-    weak = np.flatnonzero(clear[:, 2] < least * total)
-    parts = bent[weak], shape[weak], level[weak], total[weak], rigidity[weak], least[weak]
-    second[weak], residual[weak] = _fit_weak(*parts)
+    weak = np.flatnonzero(clear[:, 2] < WEAK * total)
+    second[weak], residual[weak] = _fit_weak(bent[weak], shape[weak], level[weak], total[weak], rigidity[weak])
     slopes = np.linalg.solve(upper, level.transpose(0, 2, 1) @ (number - curved @ second))[:, 1:]
     residual /= total[:, None, None]
     scale, length = weight[:, None, :], side[:, None, None]
     return Fit(slopes * scale / length, second * scale / length**2, residual * scale / length**2)
 
 
-def _fit_weak(
-    bent: Float, shape: Float, level: Float, total: Float, rigidity: Float, least: Float
-) -> tuple[Float, Float]:
+def _fit_weak(bent: Float, shape: Float, level: Float, total: Float, rigidity: Float) -> tuple[Float, Float]:
     """Return the maps of weighted heights to second derivatives (f, 3, k) and residuals (f, k, k) where some are weak,
-    of singular values below `least` (f,). `bent` (f, k, 3) are weighted heights of unit curvatures without their
+    of singular values below WEAK. `bent` (f, k, 3) are weighted heights of unit curvatures without their
     planes, which are `level` (f, k, 3).
     """
     u, size, v = np.linalg.svd(bent @ shape, full_matrices=False)
     share, coefficient = size / total[:, None], u.transpose(0, 2, 1)
-    least = least[:, None]
-    weak = share < least
-    gain = np.where(weak, 1.0 / np.maximum(1.0 - np.square(share / least), np.finfo(float).eps), 1.0)
+    weak = share < WEAK
+    gain = np.where(weak, 1.0 / np.maximum(1.0 - np.square(share / WEAK), np.finfo(float).eps), 1.0)
     way = shape @ v.transpose(0, 2, 1)
     length = np.linalg.norm(way, axis=1)
     way, size = way / length[:, None, :], size / length
@@ -212,47 +196,6 @@ def _stretch_to_even(upper: Float, total: Float) -> Float:
     (a, c), (b, d) = np.moveaxis(np.linalg.inv(upper[:, 1:, 1:]) * total[:, None, None], 0, 2)
     columns = (a * a, b * b, a * b), (c * c, d * d, c * d), (2.0 * a * c, 2.0 * b * d, a * d + b * c)
     return np.asarray(np.moveaxis(np.array(columns), 2, 0).transpose(0, 2, 1) * [1.0, 1.0, np.sqrt(0.5)])
-
-
-def _find_ribbons(sides: Sides, part: Patches, flat: Float, base: Float, rigidity: Float) -> tuple[Any, Any]:
-    """Return the patches (m,) of ribbons one cell wide, and what their heights of unit curvatures are above those of
-    quadratic functions (m, k, 3) [m^2]: from two Gauss points between vertices; where one border ends, from them all.
-    """
-    some = np.flatnonzero(np.all(sides.border[part.vertices], axis=1))
-    vertices, _, there, area = (values[some] for values in part)
-    place, foot = (points[some] @ np.array([1.0, 1.0j]) for points in (flat, base))
-    loose = there & (place == foot)
-    follows = (vertices[:, None] == sides.after[vertices][..., None]) & loose[:, None] & loose[..., None]
-    end = follows.argmax(axis=2)
-    run = np.where(follows.any(axis=2), np.take_along_axis(foot, end, axis=1) - foot, 0.0)
-    beyond = np.take_along_axis(run, end, axis=1)
-    squares = np.square(np.where(run * beyond != 0.0, run + beyond, 0.0))
-    turn = np.exp(-0.5j * np.angle(squares.sum(axis=1)))[:, None]
-    place, foot, run = place * turn, foot * turn, run * turn
-    knots = np.repeat(np.sort(np.where(there, foot.real, foot.real[:, :1]), axis=1), 2, axis=1)
-    length = 0.5 * (knots[:, 2:] - knots[:, :-2])
-    at = knots[:, :-2] + length * (1.0 + np.resize([-1.0, 1.0], length.shape[1]) / np.sqrt(3.0))
-    ahead = at[:, None] - foot.real[..., None]
-    over = ahead * (ahead - run.real[..., None]) < 0.0
-    rise = np.divide(run.imag, run.real, out=np.zeros(run.shape), where=run.real != 0.0)[..., None]
-    side = over * np.sign(run.real)[..., None]
-    width = np.abs((side * (foot.imag[..., None] + ahead * rise)).sum(axis=1))
-    known = np.where((over.sum(axis=1) == 2) & (side.sum(axis=1) == 0.0), length, 0.0)
-    lean = np.sin(np.arctan(0.5 * (over * rise).sum(axis=1)))
-    twist = (1.0 + 1.0j * np.stack([lean, 0.0 * lean])) / np.square(turn)
-    moment = np.stack([0.5 - 0.5 * twist.real, 0.5 + 0.5 * twist.real, twist.imag])
-    oblique, straight = np.einsum("asfq,fab,bsfq->sfq", moment, np.linalg.pinv(rigidity[some]), moment)
-    soft = np.divide(known * oblique, width * straight, out=np.zeros(width.shape), where=width * straight > 0.0)
-    mean = (soft.sum(axis=1) / np.maximum(known.sum(axis=1), 1e-300))[:, None]
-    last = np.where(known[:, None] > 0.0, np.abs(at[:, :, None] - at[:, None]), np.inf).argmin(axis=2)
-    last_soft = np.take_along_axis(np.divide(soft, known, out=np.zeros(soft.shape), where=known > 0.0), last, axis=1)
-    soft += (length - known) * (NEAREST * last_soft + (1.0 - NEAREST) * mean)
-    total = 0.5 * np.einsum("fkq,fk,fq->f", over[:, :3], end[:, :3] == [1, 2, 0], soft)
-    scale = np.sqrt(area / np.where(total > 0.0, total, np.inf))[:, None]
-    sure = np.abs(squares.sum(axis=1)) / np.maximum(np.abs(squares).sum(axis=1), 1e-300)
-    change = np.where(scale > 0.0, np.clip(scale * soft, length / MOST, length * MOST) - length, 0.0)
-    change *= np.clip(2.5 * sure - 1.75, 0.0, 0.5)[:, None]
-    return some, np.einsum("fq,fkq,af->fka", change, np.abs(place.real[..., None] - at[:, None]), moment[:, 1, :, 0])
 
 
 def _pairs(vertices: Int, matrix: Float, n: int) -> tuple[Int, Float]:

@@ -13,6 +13,10 @@ import numpy as np
 
 from nuno_schemas.fabric import Bool, Float, Int
 
+WIDE = 0.5
+"""What angles on both sides of a side must sum to, beyond half a turn, for it to be flipped: not those of a regular
+mesh, whatever its file rounds."""
+
 
 class Patches(NamedTuple):
     """Patches of f triangles, padded to k vertices by the triangle's first.
@@ -84,6 +88,40 @@ def find_sides(corners: Float, faces: Int) -> Sides:
     length = np.linalg.norm(edge, axis=1)
     along, high = np.einsum("sd,sd->s", slant, edge) / length, np.linalg.norm(np.cross(edge, slant), axis=1) / length
     return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border, after)
+
+
+def flip_slivers(corners: Float, faces: Int, alike: Any) -> tuple[Float, Int]:
+    """Return corners (f, 3, 3) and vertices (f, 3) of the same flat pieces, where no side lies between angles that sum
+    to more than half a turn by WIDE: such sides are flipped to the other diagonal of their two triangles (Lawson 1977,
+    Mathematical Software III, 161-194). Only triangles that are `alike` (f,) and lie in one plane are joined.
+    """
+    corners, faces = corners.copy(), faces.copy()
+    while True:
+        sides, points = find_sides(corners, faces), corners.reshape(-1, 3)
+        side = np.flatnonzero(sides.other > np.arange(len(sides.other)))
+        other = sides.other[side]
+        (start, end, apex), (end_too, start_too, beyond) = (
+            [k - k % 3 + (k + step) % 3 for step in range(3)] for k in (side, other)
+        )
+        length = np.linalg.norm(points[end] - points[start], axis=1)
+        angle = sum(
+            np.arctan2(length * high, high * high - along * (length - along))
+            for high, along in ((sides.high[k], sides.along[k]) for k in (side, other))
+        )
+        up = np.cross(points[end] - points[start], points[apex] - points[start])
+        off = np.einsum("sd,sd->s", up, points[beyond] - points[start])
+        one_piece = np.all(points[start] == points[start_too], axis=1) & np.all(points[end] == points[end_too], axis=1)
+        one_piece &= (np.abs(off) <= 1e-9 * length**3) & (alike[side // 3] == alike[other // 3])
+        flips = one_piece & (angle > np.pi + WIDE)
+        # Of each triangle the side between the widest angles, if it is so for both.
+        widest = np.zeros(len(faces))
+        for triangle in (side // 3, other // 3):
+            np.maximum.at(widest, triangle[flips], angle[flips])
+        flips &= (angle >= widest[side // 3]) & (angle >= widest[other // 3])
+        if not flips.any():
+            return corners, faces
+        for values in (points, faces.reshape(-1)):
+            values[end[flips]], values[start_too[flips]] = values[beyond[flips]], values[apex[flips]]
 
 
 def _walk(sides: Sides, triangles: Int, flat: Float, corner: int, way: int) -> list[Any]:
