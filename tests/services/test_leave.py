@@ -62,7 +62,9 @@ STIFF = 2.5e13
 @contextmanager
 def command(code: str, *args: str) -> Iterator[subprocess.Popen[str]]:
     """A process that runs some code as the `nuno` command would, whose stderr is read."""
-    begin = "import sys\nfrom nuno import process\nprocess.end_when_terminated()\n"
+    # A shell that runs tests in the background has interrupts ignored, which a child inherits.
+    begin = "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    begin += "from nuno import process\nprocess.end_when_terminated()\n"
     with subprocess.Popen([sys.executable, "-c", begin + code, *args], stderr=subprocess.PIPE, text=True) as child:
         try:
             yield child
