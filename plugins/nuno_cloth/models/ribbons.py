@@ -16,8 +16,8 @@ equilibrium, and curves it as it curves a beam, wherever vertices are (tests/phy
 Distant hinges hardly matter: to each next one a moment falls to a third. The moments of a triangle are those that it
 would have if, REACH hinges away from it on either side, moments went on as they do there.
 
-Vertices on one border that are near each other, and both ends of a short hinge, are held together by torsion alone.
-There triangles twist more than c lets them, which hardly matters to how a ribbon bends, and bounds the step.
+Vertices on one border that are near each other are held together by torsion alone. Triangles there twist more than c
+lets them, which hardly matters to how a ribbon bends, and bounds the step.
 
 Rejected: the quadratic functions of wider cloth with curvatures that differ as widths do. There a moment that is alike
 all along is not in equilibrium, and of 560 ribbons off by 0.3 of a cell six dropped up to 9 % too far, all with a neck.
@@ -34,10 +34,9 @@ from nuno_schemas.fabric import Bool, Float, Int
 
 REACH, SEEN = 8, 4
 """Hinges either way that matter to a triangle's moments, and that show where its ribbon runs and how wide it is."""
-THIN, SHORT, MOST = 0.2, 0.3, 20.0
-"""What twists more: triangles with a border of less than THIN of their height, hinges of less than SHORT of the mean
-width, to 1 / (MOST + 1) of that. Ribbons with 28 scattered vertices on each border have steps twice as long with it,
-the median of 120, and 14 times at most; ribbons off by 0.3 of a cell drop as far as without."""
+THIN = 0.2
+"""Triangles with a border of less than THIN of their height twist more. Ribbons with 28 scattered vertices on each
+border have steps twice as long with it, the median of 120; ribbons off by 0.3 of a cell drop as far as without."""
 FLAT = 0.01
 """The least height of a triangle over its border: at a neck narrower still, cloth bends as wider cloth does."""
 TIP = 0.1
@@ -173,16 +172,11 @@ def _find_chain(sides: Sides, rigid: Bool, warp: Float, weft: Float, rigidity: F
     cross = np.where(two, (first.conj() * last).imag, 1.0)
     share = np.where(inside & two, np.where(into, -1.0j * last, 1.0j * first) / cross, normal)
     compliance = _measure(axis, start, run, high, rigidity[triangles])
-    near = np.where(entered >= 0, row[entered // 3], -1).reshape(len(triangles), 2 * REACH + 2)
-    near = np.append(near, row[triangles, None], axis=1)
-    width = np.where(near >= 0, high[near], 0.0).sum(axis=1) / (near >= 0).sum(axis=1)
-    border, ahead, behind = (np.take_along_axis(edge, (rim[:, None] + k) % 3, axis=1) for k in range(3))
-    thin = np.maximum(THIN - np.abs(border) / high[:, None], 0.0)
-    short = np.where(inside, np.square(np.clip(SHORT * width[:, None] / length - 1.0, 0.0, MOST)), 0.0)
-    along = np.append(edge, ahead - behind, axis=1)
-    along = np.stack([along.real, along.imag], axis=2) / np.abs(along)[..., None]
-    twist = 0.5 * np.append(short, thin, axis=1) / (rigidity[triangles, 2, 2] + SOFTEST * rigidity.max())[:, None]
-    compliance += np.einsum("cs,csi,csj->cij", twist, along, along)
+    border, ahead, behind = (np.take_along_axis(edge, (rim[:, None] + k) % 3, axis=1)[:, 0] for k in range(3))
+    across = (ahead - behind) / np.abs(ahead - behind)
+    twist = 0.5 * np.maximum(THIN - np.abs(border) / high, 0.0)
+    twist /= rigidity[triangles, 2, 2] + SOFTEST * rigidity.max(initial=0.0)
+    compliance += np.einsum("c,ic,jc->cij", twist, *2 * ([across.real, across.imag],))
     return Chain(triangles, row, leave, entered, wider, compliance, share)
 
 
