@@ -198,7 +198,9 @@ def prepare_wind(
     runs = (WindRuns(*_pack_runs(runs_found, vertices), *air),) if runs_found.size else ()
     if on_edge.all():
         return runs
-    return *runs, WindLists(*_pack_lists(faces[~on_edge].astype(np.int64), vertices), *air)
+    rest = faces[~on_edge].astype(np.int64)
+    in_order = np.ascontiguousarray(rest[np.lexsort((rest.max(axis=1), rest.min(axis=1)))].T)
+    return *runs, WindLists(*list_copies(in_order, vertices)[1:], *air)
 
 
 def _find_runs(faces: Long, vertices: int) -> tuple[Bool, Long]:
@@ -241,12 +243,6 @@ def _pack_runs(runs: Long, vertices: int) -> tuple[Long, Long]:
     cut = cut_runs(np.column_stack([runs, np.zeros(runs.shape[0], np.int64)]), LONGEST)
     task, start = assign_runs(cut[:, :6], block_count(vertices))
     return start, task
-
-
-def _pack_lists(faces: Long, vertices: int) -> tuple[Long, Int]:
-    """Return bounds and lists per block of faces (f, 3) in the order of their vertices."""
-    corners = np.ascontiguousarray(faces[np.lexsort((faces.max(axis=1), faces.min(axis=1)))].T)
-    return list_copies(corners, vertices)[1:]
 
 
 class WindConfig(Config):

@@ -133,13 +133,10 @@ class Net:
             pinned=data["pinned"],
             faces=np.zeros((0, 3), np.int32),
             springs=springs if springs.number else None,
-            yarns=_yarns(data) if "mu" in data else None,
+            yarns=Yarns(data["yarn_links"], data["yarn_ptr"], data["mu"], np.zeros_like(data["mu"], np.int8))
+            if "mu" in data
+            else None,
         )
-
-
-def _yarns(data: dict[str, NDArray[Any]]) -> Yarns:
-    kind = np.zeros(data["mu"].shape[0], np.int8)
-    return Yarns(data["yarn_links"], data["yarn_ptr"], data["mu"], kind)
 
 
 def read_sizes(file: NpzFile) -> dict[str, int]:

@@ -214,7 +214,8 @@ class Pattern(Wearable):
     ) -> Fabric:
         material = _materials(config, sewn)
         held = np.zeros(len(x), np.bool_)
-        elements = build_triangles(material, _level(sewn.flat)[sewn.faces], sewn.sewn_faces, _warp(sewn), held)
+        flat, warp = _level(sewn.flat)[sewn.faces], _level(sewn.warp)[sewn.panel]
+        elements = build_triangles(material, flat, sewn.sewn_faces, warp, held)
         if bands:
             springs, mass = springs_of(bands, elements.mass)
             elements = elements._replace(springs=springs, mass=mass)
@@ -280,11 +281,6 @@ def _corners(sewn: Sewn) -> Corners:
 
 def _level(flat: Float) -> Float:
     return np.column_stack([flat, np.zeros(len(flat))])
-
-
-def _warp(sewn: Sewn) -> Float:
-    """Return the warp (f, 3) of each triangle in the plane of `flat`."""
-    return _level(sewn.warp)[sewn.panel]
 
 
 def _start(sewn: Sewn, edges: Edges, body: Tree | None, clearance: float) -> Float:

@@ -171,7 +171,9 @@ class Swatch(Wearable):
 
     def _at(self, config: SwatchConfig, files: Files, centre: Float, flat: Float, faces: Int) -> Fabric:
         far = np.linalg.norm(flat, axis=1) if config.size is None else flat[:, 0]
-        held = np.zeros(len(flat), np.bool_) if config.hold is None else far <= _clamp_end(config) + 1e-9
+        # A clamp ends at 0 on a strip, at a radius on a disc.
+        end = 0.0 if config.size is not None else float(config.hold or 0.0)
+        held = np.zeros(len(flat), np.bool_) if config.hold is None else far <= end + 1e-9
         # The outside is up: x, y of the flat piece become x, -z.
         level = np.column_stack([flat[:, 0], np.zeros(len(flat)), -flat[:, 1]])
         matrix = np.eye(3) if config.rotate is None else config.rotate.matrix()
@@ -189,11 +191,6 @@ class Swatch(Wearable):
             texture=find_texture(config.texture, files),
             **elements._asdict(),
         )
-
-
-def _clamp_end(config: SwatchConfig) -> float:
-    """Return where the clamp ends: at 0 on a strip, at a radius on a disc [m]."""
-    return 0.0 if config.size is not None else float(config.hold or 0.0)
 
 
 def lay(config: SwatchConfig, seed: int) -> tuple[Float, Int]:

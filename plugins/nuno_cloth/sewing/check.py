@@ -54,7 +54,8 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     ordered = sorted(remarks, key=lambda remark: not remark.wrong)
     return Checked(
         tuple(_size(panel, pattern) for panel in pattern.panels.values()), len(pattern.seams), length,
-        tuple(_opening(pattern, edges) for edges in openings), tuple(ordered), float(np.max(corners, initial=0.0)),
+        tuple(Opening(tuple(map(name_of, one)), sum(pattern.edge(side).length for side in one)) for one in openings),
+        tuple(ordered), float(np.max(corners, initial=0.0)),
     )  # fmt: skip
 
 
@@ -63,10 +64,6 @@ def _size(panel: Panel, pattern: Pattern) -> PanelSize:
     width, height = np.ptp(points, axis=0)
     sewn = sum((panel.name, k) in pattern.partner for k in range(len(panel.edges)))
     return PanelSize(panel.name, len(panel.edges), sewn, abs(panel.area), float(width), float(height))
-
-
-def _opening(pattern: Pattern, edges: list[Side]) -> Opening:
-    return Opening(tuple(map(name_of, edges)), sum(pattern.edge(side).length for side in edges))
 
 
 def _note_lengths(pattern: Pattern, gather: float, note: Note) -> None:

@@ -282,7 +282,9 @@ class Builder:
             self.leaves += int(whole.sum())
             if self.leaves > self.most:
                 raise too_large(self.leaves, self.most, self.tolerance)
-        return done, _join(parts)
+        names = ("at", "slot", "near", "corners")
+        joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return done, Cells(cells.level + 1, *joined)
 
     def cut(self, cells: Cells, lattice: Single, chosen: Any) -> Cells:
         """Return the eight parts of the chosen cells."""
@@ -331,11 +333,6 @@ def _leaves(cells: Cells, lattice: Single, chosen: Any) -> Leaves:
         np.full(int(chosen.sum()), cells.level, np.int64), cells.at[chosen], cells.slot[chosen], cells.near[chosen],
         cells.corners[chosen], lattice[chosen, :, 0],
     )  # fmt: skip
-
-
-def _join(parts: list[Cells]) -> Cells:
-    names = ("at", "slot", "near", "corners")
-    return Cells(parts[0].level, *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def are_torn(lattice: Single, size: Any) -> NDArray[np.bool_]:

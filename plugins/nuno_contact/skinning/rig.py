@@ -73,7 +73,9 @@ def _read(file: bytes) -> Rig | None:
             np.add.at(weight, (np.arange(len(weight))[:, None], number[part.joint]), part.weight)
         weights.append(weight)
     names = tuple(str(nodes[joint].get("name", f"joint {joint}")) for joint in joints)
-    parents = np.array([_parent(joint, joints, above) for joint in joints], np.int32)
+    # A joint hangs on the next one above it, through nodes between them.
+    upwards = ([joints.index(at) for at in way_up(joint, above)[1:] if at in joints] for joint in joints)
+    parents = np.array([next(iter(way), -1) for way in upwards], np.int32)
     world = find_places(nodes)
     whole = join_parts(parts)
     return Rig(
@@ -88,11 +90,6 @@ def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) ->
         if at in joints:
             return at
     raise ValueError(f"no joint carries the mesh of {nodes[node].get('name', f'node {node}')!r}")
-
-
-def _parent(joint: int, joints: list[int], above: dict[int, int]) -> int:
-    """Return the number of the joint that one hangs on, through nodes between them, -1 if it hangs on none."""
-    return next((joints.index(at) for at in way_up(joint, above)[1:] if at in joints), -1)
 
 
 def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:

@@ -394,17 +394,15 @@ def pack_constraints(packed: Packed, remember: bool) -> Constraints:
     joined: dict[Any, Any] = {}
     for part in found:
         key = part.kind if isinstance(part, ListElements) else len(joined)
-        joined[key] = part if key not in joined else _join(joined[key], part)
+        if other := joined.get(key):
+            corners = np.concatenate([other.corners, part.corners])
+            part = ListElements(part.kind, corners, np.concatenate([other.constants, part.constants], axis=1))
+        joined[key] = part
     elements = list(joined.values())
     of_elements, colour = find_batches([part.corners // BLOCK for part in elements])
     batches = int(colour[-1])
     kinds = [part.pack(of, batches, vertices, remember) for part, of in zip(elements, of_elements, strict=True)]
     return Constraints(colour, tuple(kinds), np.ones(len(kinds), np.bool_))
-
-
-def _join(one: ListElements, other: ListElements) -> ListElements:
-    corners = np.concatenate([one.corners, other.corners])
-    return ListElements(one.kind, corners, np.concatenate([one.constants, other.constants], axis=1))
 
 
 def constraints_of_spring_runs(runs: SpringRuns, vertices: int) -> tuple[RunElements | ListElements, ...]:

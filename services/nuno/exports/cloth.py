@@ -197,16 +197,12 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
             ShownPiece(
                 str(item["name"]), start, stop, faces[own] - start, edges[mine] - start,
                 rest[mine], arrays["uv"][start:stop] if "uv" in arrays else None, None, colour,
-                _kinds(yarns, mine), item.get("texture"), pinned[start:stop], Tensions.read(arrays, mine),
+                None if yarns is None or (yarns[mine] < 0).all() else yarns[mine], item.get("texture"),
+                pinned[start:stop], Tensions.read(arrays, mine),
                 None if corners is None else cut_corners(corners, own, start, stop),
             )
         )  # fmt: skip
     return pieces
-
-
-def _kinds(yarns: NDArray[np.int8] | None, mine: NDArray[np.bool_]) -> NDArray[np.int8] | None:
-    """Return the yarn kinds of one piece, None without yarns."""
-    return None if yarns is None or (yarns[mine] < 0).all() else yarns[mine]
 
 
 def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:
