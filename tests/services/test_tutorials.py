@@ -184,7 +184,10 @@ def test_a_tutorial_runs_as_it_is_written(page: Path, tmp_path: Path) -> None:
                     f"{below.code}\nwas not printed:\n{printed[start:end]}"
                 )
             start = end
+    exported = {folder / name for name in re.findall(r"--(?:foxglove|ros2) (\S+)", page.read_text(encoding="utf-8"))}
     for recorded in folder.rglob("*.mcap"):
+        if exported & {recorded, *recorded.parents}:
+            continue
         with open_recording(recorded) as recording:
             reports = [json.loads(message.payload) for message in recording.messages([PENETRATION.name])]
         assert not any(report["area"] for report in reports), f"{recorded.name} has cloth inside bodies"
