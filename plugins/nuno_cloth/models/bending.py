@@ -77,8 +77,10 @@ def build_bending(
     if not rigidity.any() or n < 4 or not len(loose):
         return None
     sides = find_sides(corners, faces)
-    narrow, vertices, matrix = bend_ribbons(sides, clamp.faces, warp, weft, rigidity[cloth.fabric_index])
-    loose, parts = np.setdiff1d(loose, narrow), [_pairs(vertices, -matrix, n)]
+    parts = []
+    for narrow, vertices, matrix in bend_ribbons(sides, clamp.faces, warp, weft, rigidity[cloth.fabric_index]):
+        loose = np.setdiff1d(loose, narrow)
+        parts.append(_pairs(vertices, -matrix, n))
     for at in range(0, len(loose), AT_ONCE):
         triangles = loose[at : at + AT_ONCE]
         part = find_patches(sides, triangles, warp[triangles], weft[triangles])

@@ -25,6 +25,7 @@ all along is not in equilibrium, and of 560 ribbons off by 0.3 of a cell six dro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +42,8 @@ FLAT = 0.01
 """The least height of a triangle over its border: at a neck narrower still, cloth bends as wider cloth does."""
 TIP = 0.1
 """The least width of a ribbon over a triangle's height: at a tip the integral of 1 / w has no bound."""
+AT_ONCE = 2048
+"""Triangles whose matrices are in memory at a time."""
 SOFTEST = 1e-9
 """The least rigidity over a cloth's largest, so that compliance is finite."""
 
@@ -61,27 +64,36 @@ class Chain(NamedTuple):
     share: Any
 
 
-def bend_ribbons(sides: Sides, rigid: Bool, warp: Float, weft: Float, rigidity: Float) -> tuple[Int, Int, Float]:
-    """Return triangles (t,) amid ribbons one triangle wide, vertices (t, k) round them, and matrices (t, k, k) [N/m] of
+def bend_ribbons(
+    sides: Sides, rigid: Bool, warp: Float, weft: Float, rigidity: Float
+) -> Iterator[tuple[Int, Int, Float]]:
+    """Yield triangles (t,) amid ribbons one triangle wide, vertices (t, k) round them, and matrices (t, k, k) [N/m] of
     their energy by the heights of these. Of a mesh's f triangles `rigid` (f,) ones do not bend; warp and weft (f, 3)
     are directions of yarns, and rigidity (f, 3, 3) is D [N m].
     """
     chain = _find_chain(sides, rigid, warp, weft, rigidity)
-    row = np.flatnonzero(~chain.wider[..., :2].any(axis=(1, 2))).astype(np.int32)
-    flexible = _find_flexibility(chain, row)
+    amid = np.flatnonzero(~chain.wider[..., :2].any(axis=(1, 2))).astype(np.int32)
+    for at in range(0, len(amid), AT_ONCE):
+        row = amid[at : at + AT_ONCE]
+        vertices, moment = _find_moments(sides, chain, row)
+        yield chain.triangles[row], vertices, moment @ chain.compliance[row] @ moment.transpose(0, 2, 1)
+
+
+def _find_moments(sides: Sides, chain: Chain, row: Int) -> tuple[Int, Float]:
+    """Return the vertices (t, k) round triangles of these rows, and mu (t, k, 2) per height of each [N]."""
     # The moments of a triangle's own two hinges, of all angles: rows of C^-1, whose columns are hinges from end to end.
     leave, number = chain.leave[row], 2 * REACH + 2
     moment: Float = np.zeros((len(row), number, 2))
     for way, place in enumerate((REACH + 1, REACH)):
         own = _at(chain.share, row, leave[:, way, 0])
         moment[:, place] = np.stack([own.real, own.imag], axis=1)
+    flexible = _find_flexibility(chain, row)
     moment = np.asarray(np.linalg.solve(flexible.transpose(0, 2, 1), moment), np.float64)
     hinge = np.concatenate([leave[:, 1, ::-1], leave[:, 0]], axis=1)
     vertices, angle = _find_angles(sides, np.where(hinge >= 0, hinge, hinge.max(axis=1, keepdims=True)))
     angle = np.where(hinge[..., None] >= 0, angle, 0.0)
     moment = (moment[:, :, None] * angle[..., None]).reshape(len(row), 4 * number, 2)
-    vertices, moment = _sum_alike(vertices.reshape(len(row), 4 * number), moment)
-    return chain.triangles[row], vertices, moment @ chain.compliance[row] @ moment.transpose(0, 2, 1)
+    return _sum_alike(vertices.reshape(len(row), 4 * number), moment)
 
 
 def _sum_alike(vertices: Int, moment: Float) -> tuple[Int, Float]:
@@ -171,7 +183,9 @@ def _find_chain(sides: Sides, rigid: Bool, warp: Float, weft: Float, rigidity: F
     first, last = (np.take_along_axis(normal, (rim[:, None] + k) % 3, axis=1) for k in (2, 1))
     cross = np.where(two, (first.conj() * last).imag, 1.0)
     share = np.where(inside & two, np.where(into, -1.0j * last, 1.0j * first) / cross, normal)
-    compliance = _measure(axis, start, run, high, rigidity[triangles])
+    parts = [slice(at, at + AT_ONCE) for at in range(0, len(triangles), AT_ONCE)]
+    measured = [_measure(axis[k], start[k], run[k], high[k], rigidity[triangles[k]]) for k in parts]
+    compliance = np.concatenate([np.zeros((0, 2, 2)), *measured])
     border, ahead, behind = (np.take_along_axis(edge, (rim[:, None] + k) % 3, axis=1)[:, 0] for k in range(3))
     across = (ahead - behind) / np.abs(ahead - behind)
     twist = 0.5 * np.maximum(THIN - np.abs(border) / high, 0.0)
