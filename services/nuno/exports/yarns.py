@@ -272,7 +272,8 @@ class Artist:
 
     def __init__(self, loaded: Loaded) -> None:
         self.loaded = loaded
-        self.chosen = loaded.yarn_picture or _default_style()
+        plain = registry.load(GROUP, STYLE)
+        self.chosen = loaded.yarn_picture or Chosen(GROUP, plain, plain.Config(), "view.yarns", {})
         self.fabric, self.pieces = build_fabric(loaded)
         if self.fabric.yarns is None:
             problem, remedy = "the scene has no yarns to draw", "leave view.pictures out; yarns are what a knit has"
@@ -316,8 +317,3 @@ class Artist:
         config = captioned(self.chosen, self.loaded.scene.name, frame.t, colours)
         picture: np.ndarray = self.chosen.plugin.draw(config, worn, camera)
         return picture
-
-
-def _default_style() -> Chosen:
-    plugin = registry.load(GROUP, STYLE)
-    return Chosen(GROUP, plugin, plugin.Config(), "view.yarns", {})

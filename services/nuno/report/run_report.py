@@ -319,7 +319,8 @@ def make_report(loaded: Loaded, outcome: Outcome) -> Report:
         "warnings": [*scene_warnings(loaded), *summary.get("warnings", [])],
         "dt_limit": (summary.get("limit") or {}).get("dt"),
         "omega": (summary.get("limit") or {}).get("omega"),
-        "size": {name: (dyer if name in DYE_SIZES else summary).get(name, 0) for name in _sizes(loaded)},
+        "size": {name: summary.get(name, 0) for name in (SIZES if loaded.scene.moves else ())}
+        | {name: dyer.get(name, 0) for name in (() if loaded.dye is None else DYE_SIZES)},
         "penetration": services.get("collision", {}).get("deepest"),
         "cloth_contact": services.get("collision", {}).get("cloth_contact"),
         "followed": services.get("collision", {}).get("followed", {}),
@@ -352,10 +353,6 @@ def _traffic(outcome: Outcome) -> Report:
         "refused": _count("refused", services),
         "recorded_bytes": recorder.get("bytes", 0),
     }
-
-
-def _sizes(loaded: Loaded) -> tuple[str, ...]:
-    return (SIZES if loaded.scene.moves else ()) + (DYE_SIZES if loaded.dye is not None else ())
 
 
 def _dye_steps(loaded: Loaded, dyer: Report) -> Report:

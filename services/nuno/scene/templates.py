@@ -258,7 +258,8 @@ def write_after(name: str, file: Path, overrides: Sequence[str] = ()) -> list[Pa
     """
     loaded = load_after(name, file, overrides)
     files = {file.parent / name_in_scene: source for name_in_scene, source in assets(loaded).items()}
-    missing = {path: source for path, source in files.items() if not _same(path, source)}
+    missing = {path: source for path, source in files.items()
+               if not (path.is_file() and path.read_bytes() == source.read_bytes())}  # fmt: skip
     for path in (file, *missing):
         if path.exists():
             raise BadInput("it is there already, and is not written over", value=str(path),
@@ -288,7 +289,3 @@ def load_after(name: str, file: Path, overrides: Sequence[str]) -> Loaded:
     shipped_files = scene_file.files_of(path)
     files = SceneFiles(file.parent, (shipped_files.folder, *shipped_files.roots))
     return replace(scene_file.load(data, dict.fromkeys(lines, UNNUMBERED), file.name, files), path=path)
-
-
-def _same(path: Path, source: Path) -> bool:
-    return path.is_file() and path.read_bytes() == source.read_bytes()

@@ -67,7 +67,8 @@ class Starts:
         self.kept[number] = Start(loaded, Board(sight).now, fabric, objects)
         for old in sorted(self.kept)[:-MOST]:
             self.kept.pop(old, None)
-        return {"number": number, "words": NO_COLOURS if _painted(loaded, sight) else ""}
+        painted = loaded.scene.dye is not None or any(piece.texture for piece in sight.pieces)
+        return {"number": number, "words": NO_COLOURS if painted else ""}
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """Return the bytes of a start for the page. Raises Refused."""
@@ -81,10 +82,6 @@ def _build(*text: Any) -> tuple[Sight, Fabric, list[Fabric]]:
     loaded = scenes.load(*text)
     cloth.check_memory(loaded)
     return see_objects(loaded)
-
-
-def _painted(loaded: Loaded, sight: Sight) -> bool:
-    return loaded.scene.dye is not None or any(piece.texture for piece in sight.pieces)
 
 
 class Live:
