@@ -402,6 +402,20 @@ def test_a_ribbon_that_runs_to_and_fro_twists_as_it_bends(wave: float) -> None:
     assert drop(fabric)[-2:].mean() == pytest.approx(plate_drop(fabric, CLOTH), rel=0.03)
 
 
+@pytest.mark.parametrize("swing", [0.8, pytest.param(1.2, marks=pytest.mark.full)])
+def test_a_ribbon_that_meanders_drops_as_a_plate(swing: float) -> None:
+    """Its middle turns by `swing` to either side, with a radius of 2.4 and 1.6 cells: within 2 %."""
+    along = np.linspace(0.0, LONG, 6401)
+    turn = np.where(along > 4.0, swing * np.sin((along - 4.0) * np.pi / 6.0), 0.0)
+    middle = [cumulative_trapezoid(part, along, initial=0.0) for part in (np.cos(turn), np.sin(turn))]
+    for alternate in (True, False):
+        points, faces, held = ribbon(1, alternate, 0.1, True, 3)
+        x, y, angle = (np.interp(points[:, 0], along, part) for part in (*middle, turn))
+        off = points[:, 1] - 0.5
+        fabric = cut(np.column_stack([x - off * np.sin(angle), y + off * np.cos(angle)]), faces, held, CLOTH)
+        assert drop(fabric)[-2:].mean() == pytest.approx(plate_drop(fabric, CLOTH), rel=0.02)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("material", [CLOTH, CURLS])
 def test_what_is_expected_of_ribbons_is_what_plates_do(material: Material) -> None:
