@@ -178,6 +178,12 @@ class Event(Described):
     args: dict[str, Any] = {}
     """Arguments of a control request; details of an error or of the end."""
 
+    @property
+    def message(self) -> str:
+        """The text, and of a control request what it changes, or how far it steps: set damping=0.5."""
+        asked = [str(self.args[name]) for name in ("item", "frames") if self.kind == "control" and name in self.args]
+        return " ".join([self.text, *asked])
+
 
 class Ack(Described):
     """A service that must see every frame has handled this one."""

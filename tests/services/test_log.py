@@ -52,7 +52,7 @@ def test_control_and_failure_are_told(tmp_path: Path) -> None:
     with log.written("another", tmp_path / "other.jsonl"):
         log.note(run.run, "not of the other")
     lines = read(path)
-    (changed,) = [line for line in lines if line["message"] == "control: set"]
+    (changed,) = [line for line in lines if "damping=3.0" in line["message"]]
     assert changed["service"] == "simulation" and changed["fields"]["item"] == "damping=3.0"
     assert lines[-1]["fields"]["state"] == "stopped"
     assert not (tmp_path / "other.jsonl").exists()

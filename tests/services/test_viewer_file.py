@@ -33,7 +33,7 @@ from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.messages import BODIES, FABRIC, PENETRATION, STATE, Penetration
+from nuno_schemas.messages import BODIES, EVENT, FABRIC, PENETRATION, STATE, Event, Penetration
 from nuno_schemas.scene import View
 
 CLOTH = "/world/cloth/sheet"
@@ -153,6 +153,13 @@ def test_a_texture_that_is_gone_is_said_and_does_not_end_the_view(tmp_path: Path
     path = write(tmp_path / "run.rrd", list(messages(2, 8, 6, texture="gone.png")))
     assert "gone.png" in read(path, "/log", "TextLog:text")[0][0]
     assert len(read(path, CLOTH, "Mesh3D:vertex_positions")) == 2
+
+
+def test_the_log_says_what_was_set(tmp_path: Path) -> None:
+    fields = {"frame": 0, "t": 0.0, "service": "simulation", "kind": "control", "text": "set"}
+    event = Event.model_validate(fields | {"args": {"item": "damping=3.0"}}).model_dump_json().encode()
+    path = write(tmp_path / "run.rrd", [*messages(1, 8, 6), (f"{EVENT.name}/simulation", 0, 0.0, event)])
+    assert "damping=3.0" in read(path, "/log", "TextLog:text")[0][0]
 
 
 def test_a_net_without_faces_shows_masses_and_springs(tmp_path: Path) -> None:

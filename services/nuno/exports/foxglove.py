@@ -317,7 +317,7 @@ def encode_event(recording: Recording, message: Recorded) -> bytes:
     event = Event.model_validate(recording.said(message))
     level = LEVELS.get(event.kind, messages.LogLevel.Info)
     encoded: bytes = messages.Log(
-        timestamp=_stamp(message.log_time), level=level, message=event.text, name=event.service
+        timestamp=_stamp(message.log_time), level=level, message=event.message, name=event.service
     ).encode()
     return encoded
 

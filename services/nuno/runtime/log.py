@@ -76,7 +76,7 @@ def note_event(run: str, event: Event) -> None:
     """Log an event of a service: control, warning, error, end."""
     fields = {name: value for name, value in event.args.items() if name != "summary"}
     fields |= {"frame": event.frame, "t": event.t}
-    note(run, f"{event.kind}: {event.text}", fields, LEVELS.get(event.kind, logging.INFO), event.service)
+    note(run, f"{event.kind}: {event.message}", fields, LEVELS.get(event.kind, logging.INFO), event.service)
 
 
 def note_end(run: str, outcome: Outcome) -> None:

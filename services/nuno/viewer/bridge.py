@@ -384,7 +384,7 @@ class Bridge:
             # A paused run sends no more frames: the waiting one is the present one.
             self._dyed.flush()
         level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
-        self._log("/log", rr.TextLog(f"{event.service}: {event.text}", level=level))
+        self._log("/log", rr.TextLog(f"{event.service}: {event.message}", level=level))
 
     def _report(self, payload: bytes) -> None:
         text = json.dumps(json.loads(payload), indent=2)
