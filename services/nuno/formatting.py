@@ -39,9 +39,10 @@ def many(number: float, noun: str) -> str:
     return f"{number:,.0f} {noun}{'' if number == 1 else 's'}"
 
 
-def megabytes(size: float) -> str:
-    """Format a size in MB, and a large one in GB."""
-    return f"{size / 1e6:.3g} MB" if size < 9.995e8 else f"{size / 1e9:.3g} GB"
+def data_size(size: float) -> str:
+    """Format a number of bytes in kB, MB or GB."""
+    unit, name = next((unit for unit in ((1e3, "kB"), (1e6, "MB")) if size < 999.5 * unit[0]), (1e9, "GB"))
+    return f"{size / unit:.3g} {name}"
 
 
 def counted(counts: Mapping[str, int]) -> str:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nuno.formatting import duration, factor, many, megabytes, time_of
+from nuno.formatting import data_size, duration, factor, many, time_of
 from nuno_schemas import units
 from nuno_schemas.units import to_si
 
@@ -199,6 +199,6 @@ def test_a_factor_has_no_digits_that_nobody_reads() -> None:
 
 def test_things_and_bytes_are_counted_as_people_do() -> None:
     assert [many(n, "edge") for n in (0, 1, 2190)] == ["0 edges", "1 edge", "2,190 edges"]
-    assert [megabytes(n) for n in (6.1e5, 2.19e7, 9.99e8, 9.996e8, 2.19e9)] == [
-        "0.61 MB", "21.9 MB", "999 MB", "1 GB", "2.19 GB",
+    assert [data_size(n) for n in (0, 6.1e5, 9.996e5, 2.19e7, 9.99e8, 9.996e8, 2.19e9)] == [
+        "0 kB", "610 kB", "1 MB", "21.9 MB", "999 MB", "1 GB", "2.19 GB",
     ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -361,6 +362,12 @@ def test_commands_say_what_is_missing(lossy: Path, capsys: pytest.CaptureFixture
     for command in (["verify", name], ["replay", name, "--fast", "--no-view"], ["export", name, "--csv"]):
         assert main([*command, *([str(csv)] if command[0] == "export" else [])]) == 0
         assert f"{lossy}: INCOMPLETE: missing: 4 of sim/state\n" in capsys.readouterr().err
+
+
+def test_info_tells_the_size_of_a_small_file(lossy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(lossy)]) == 0
+    size, unit = re.findall(r"\(([\d.]+) (kB|MB)\)", capsys.readouterr().out)[0]
+    assert float(size) * {"kB": 1e3, "MB": 1e6}[unit] == pytest.approx(lossy.stat().st_size, rel=0.01)
 
 
 def test_of_a_run_that_was_killed_the_file_itself_tells(tmp_path: Path) -> None:

@@ -201,6 +201,6 @@ def test_a_plan_states_the_size_that_a_recording_has(kind: str, tmp_path: Path) 
         scene = write_scene(tmp_path, duration=2.0, **more)
     storage = next(text for heading, text in nuno.plan(scene) if heading == "storage")
     number, unit = storage.split()[:2]
-    stated = float(number) * {"MB": 1e6, "GB": 1e9}[unit]
+    stated = float(number) * {"kB": 1e3, "MB": 1e6, "GB": 1e9}[unit]
     written = nuno.run(scene, record=tmp_path / "run.mcap").path.stat().st_size
     assert stated == pytest.approx(written, rel=0.1)

@@ -16,6 +16,7 @@ from pathlib import Path
 import psutil
 
 from nuno.bus.sessions import hub_at
+from nuno.formatting import data_size
 from nuno.scene import scene_file, shipped
 from nuno.scene.provenance import processor
 from nuno.simulation.run import Simulation
@@ -111,7 +112,7 @@ def _cache() -> Row:
 
     folder = Path(config.CACHE_DIR)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    text = f"{folder}, {size / 2**20:.0f} MiB"
+    text = f"{folder}, {data_size(size)}"
     if not os.access(folder, os.W_OK):
         text = f"{folder} cannot be written: each run compiles its kernels again"
         return Row("kernel cache", "note", text, "make it writable, or set XDG_CACHE_HOME to a folder that is")
@@ -146,7 +147,7 @@ def _disk() -> Row:
     probe, name = folder / f".nuno-doctor-{os.getpid()}", "recordings"
     remedy = "record elsewhere with --record FILE"
     if free < LEAST_DISK:
-        return Row(name, "failed", f"{folder.resolve()}: {free / 2**20:.0f} MiB are free", remedy)
+        return Row(name, "failed", f"{folder.resolve()}: {data_size(free)} are free", remedy)
     try:
         start = time.perf_counter()
         with probe.open("wb") as stream:
@@ -159,4 +160,4 @@ def _disk() -> Row:
     finally:
         with contextlib.suppress(OSError):
             probe.unlink()
-    return Row(name, "ok", f"{folder.resolve()}: {free / 2**30:.0f} GiB free, {rate:.0f} MB/s to disk")
+    return Row(name, "ok", f"{folder.resolve()}: {data_size(free)} free, {rate:.0f} MB/s to disk")

@@ -17,7 +17,7 @@ from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
 from nuno.cli.common import add_config, add_flags, add_set, warn
 from nuno.exports.camera import Side, view_doubts
-from nuno.formatting import many, plain
+from nuno.formatting import data_size, many, plain
 from nuno.process import state_of
 from nuno.python_api.export import FILES, ExportRequest, Painted, ask, show_progress, write
 from nuno.python_api.progress import ProgressLine
@@ -169,7 +169,7 @@ def describe_recording(recording: Recording, lacks: Lacks) -> dict[str, Any]:
 
 def _info_rows(recording: Recording, lacks: Lacks) -> list[tuple[str, str]]:
     facts = describe_recording(recording, lacks)
-    rows = [("file", f"{facts['file']} ({facts['bytes'] / 1e6:.1f} MB)")]
+    rows = [("file", f"{facts['file']} ({data_size(facts['bytes'])})")]
     rows.append(("state", f"{facts['state']}, {shortcoming(recording, lacks) or 'complete'}"))
     rows += [(topic, f"{number:,} missing") for topic, number in facts["missing"].items()]
     rows.append(("time", f"{facts['span'][0]:g} to {facts['span'][1]:g} s"))

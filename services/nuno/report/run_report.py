@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TextIO
 
-from nuno.formatting import counted, duration, factor, many
+from nuno.formatting import counted, data_size, duration, factor, many
 from nuno.runtime import outcome
 from nuno.runtime.outcome import Outcome
 from nuno.scene.scene_file import Loaded
@@ -83,7 +83,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     frames = report["frames"]
     text = f"{frames['sent']} sent"
     if frames["recorded"] is not None:
-        text += f", {frames['recorded']} recorded ({report['recorded_bytes'] / 1e6:.1f} MB)"
+        text += f", {frames['recorded']} recorded ({data_size(report['recorded_bytes'])})"
     if "viewer" in report["services"]:
         text += f", {frames['shown']} shown"
     rows.append(("frames", f"{text}, {report['missing']} missing, {report['refused']} refused"))

@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from nuno.formatting import factor, megabytes, roughly
+from nuno.formatting import data_size, factor, roughly
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import CHANGES, Recording, control_events, describe_changes, open_recording
 from nuno.recording.recorded import MEMORY, Arrays, Checkpoint, Recorded
@@ -225,7 +225,7 @@ class Stepper(ABC):
         return [
             ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),
             ("time", f"{roughly(seconds * scene.frames)}, {rate} real time (by a frame)"),
-            ("storage", f"{megabytes(size)} recorded, at most {megabytes(memory)} of memory for the cloth"),
+            ("storage", f"{data_size(size)} recorded, at most {data_size(memory)} of memory for the cloth"),
         ]
 
     def time_frame(self) -> float:
