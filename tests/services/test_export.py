@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import errno
 import io
+import itertools
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -529,3 +531,17 @@ def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
     (normals, colours), (far_normals, far_colours) = looks
     assert np.abs(normals - far_normals).max() < 2e-6
     assert len(np.unique(colours, axis=0)) > 3 and np.abs(colours - far_colours).max() < 8
+
+
+@pytest.mark.parametrize(("second", "flags", "told"), [(0.0, (), 0), (1.0, (), 4), (0.0, ("--progress",), FRAMES)])
+def test_a_long_export_tells_how_far_it_is_where_there_is_no_terminal(
+    second: float, flags: tuple[str, ...], told: int, path: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Every five seconds, where a frame takes one; with --progress at each."""
+    clock = itertools.count(0.0, second)
+    monkeypatch.setattr("nuno.python_api.export.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    assert main(["export", str(path), "--obj", str(tmp_path / "frames"), *flags]) == 0
+    every = FRAMES // max(told, 1)
+    lines = [f"{done} of {FRAMES}" for done in range(every, FRAMES + 1, every)]
+    assert capsys.readouterr().err.splitlines() == lines[:told]

@@ -266,7 +266,7 @@ def test_a_failed_export_of_frames_leaves_nothing(sheet: Path, monkeypatch: pyte
         if done == 3:
             raise BadInput("enough")
 
-    monkeypatch.setattr("nuno.cli.recordings.show_progress", fail)
+    monkeypatch.setattr("nuno.cli.recordings.progress_lines", lambda each: fail)
     before = set(sheet.parent.iterdir())
     assert main(["export", str(sheet), "--obj", str(sheet.parent / "frames")]) == 2
     assert set(sheet.parent.iterdir()) == before

@@ -19,7 +19,7 @@ from nuno.cli.common import add_config, add_flags, add_set, warn
 from nuno.exports.camera import Side, view_doubts
 from nuno.formatting import data_size, many, plain
 from nuno.process import state_of
-from nuno.python_api.export import FILES, ExportRequest, Painted, ask, show_progress, write
+from nuno.python_api.export import FILES, ExportRequest, Painted, ask, progress_lines, write
 from nuno.python_api.progress import ProgressLine
 from nuno.recording.reader import (
     END,
@@ -109,13 +109,9 @@ def export_command(args: argparse.Namespace) -> int:
             print(f"warning: {text}", file=sys.stderr)
         if request.scene is not None and (changes := describe_changes(control_events(recording))):
             print(f"warning: the scene lacks what was changed during its run: {'; '.join(changes)}", file=sys.stderr)
-        for path in write(recording, request, _tell if args.progress else show_progress):
+        for path in write(recording, request, progress_lines(args.progress)):
             print(path)
     return 0
-
-
-def _tell(done: int, total: int) -> None:
-    print(f"{done} of {total}", file=sys.stderr, flush=True)
 
 
 # `nuno info`: what a recording holds, and what it lacks.

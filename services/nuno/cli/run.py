@@ -236,9 +236,10 @@ def execute(
         return 1
     if mp4 is not None and recording is not None:
         from nuno.exports.animations import export_animation
+        from nuno.python_api.export import progress_lines
 
         print("drawing the animation", flush=True)
-        print(row("animation", export_animation(recording, mp4)))
+        print(row("animation", export_animation(recording, mp4, progress=progress_lines())))
     return 0
 
 

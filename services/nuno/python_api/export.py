@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
@@ -69,6 +70,8 @@ ENDINGS: dict[str, tuple[str, ...]] = {
 """Endings of the names of single files."""
 YARNS = ("samples", "radius", "curl")
 """Settings of yarns as curves."""
+EVERY = 5.0
+"""Least time between two lines of progress [s]."""
 Painted = Literal["auto", "cloth", "stretch", "pressure", "warp", "weft"]
 
 
@@ -129,6 +132,21 @@ def show_progress(done: int, total: int) -> None:
     """Show progress on one line of a terminal, if there is one."""
     if sys.stderr.isatty():
         print(f"\r{done} of {total} ", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def progress_lines(each: bool = False) -> Progress:
+    """Return a function that shows progress: on one line of a terminal, else now and then by a line, or `each` time."""
+    if sys.stderr.isatty() and not each:
+        return show_progress
+    shown = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal shown
+        if (now := time.monotonic()) - shown >= EVERY or each:
+            shown = now
+            print(f"{done} of {total}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 def write(recording: Recording, asked: ExportRequest, progress: Progress = show_progress) -> list[Path]:
