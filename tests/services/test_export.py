@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 import trimesh
@@ -545,3 +546,21 @@ def test_a_long_export_tells_how_far_it_is_where_there_is_no_terminal(
     every = FRAMES // max(told, 1)
     lines = [f"{done} of {FRAMES}" for done in range(every, FRAMES + 1, every)]
     assert capsys.readouterr().err.splitlines() == lines[:told]
+
+
+def test_it_is_told_once_that_a_picture_waits_for_the_compiler(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And never of a picture that finds everything compiled."""
+    ready = numba.njit(lambda x: x + 1)
+
+    def draw(*_: object) -> list[Path]:
+        ready(1), ready(1.0)
+        return []
+
+    monkeypatch.setattr("nuno.cli.recordings.write", draw)
+    told = []
+    for _ in range(2):
+        assert main(["export", str(path), "--png", str(tmp_path / "a.png")]) == 0
+        told.append(len(capsys.readouterr().err.splitlines()))
+    assert told == [1, 0]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,6 +90,25 @@ def warn(recording: Recording) -> None:
 
     if problem := shortcoming(recording):
         print(plain(f"{recording.path}: {problem}"), file=sys.stderr)
+
+
+@contextlib.contextmanager
+def compilation_told() -> Iterator[None]:
+    """Say on stderr, once, that pictures wait for the compiler, if they do."""
+    from numba.core import event
+
+    class Teller(event.Listener):  # type: ignore[misc]
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                print("compiling; the next picture of this kind finds it ready", file=sys.stderr, flush=True)
+            self.told = True
+
+        def on_end(self, event: Any) -> None: ...
+
+    with event.install_listener("numba:compile", Teller()):
+        yield
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:

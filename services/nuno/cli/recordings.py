@@ -15,7 +15,7 @@ from typing import Any, get_args
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
-from nuno.cli.common import add_config, add_flags, add_set, warn
+from nuno.cli.common import add_config, add_flags, add_set, compilation_told, warn
 from nuno.exports.camera import Side, view_doubts
 from nuno.formatting import data_size, many, plain
 from nuno.process import state_of
@@ -53,7 +53,7 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
     add_flags(what, {f"--{name}": ("FILE", text, Path) for name, text in FILES.items()})
     _add_yarns(parser.add_argument_group("yarns as curves"))
     _add_parts(parser.add_argument_group("which part"))
-    progress_help = "say how far it is, a line each time, also where there is no terminal"
+    progress_help = "say how far it is, a line each time, not only now and then"
     parser.add_argument("--progress", action="store_true", help=progress_help)
     _add_drawn(parser.add_argument_group("how pictures and animations are drawn (default: as the scene says)"))
 
@@ -109,7 +109,10 @@ def export_command(args: argparse.Namespace) -> int:
             print(f"warning: {text}", file=sys.stderr)
         if request.scene is not None and (changes := describe_changes(control_events(recording))):
             print(f"warning: the scene lacks what was changed during its run: {'; '.join(changes)}", file=sys.stderr)
-        for path in write(recording, request, progress_lines(args.progress)):
+        drawn = request.png or request.gif or request.mp4
+        with compilation_told() if drawn else contextlib.nullcontext():
+            written = write(recording, request, progress_lines(args.progress))
+        for path in written:
             print(path)
     return 0
 
