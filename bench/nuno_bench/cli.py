@@ -6,6 +6,8 @@ import argparse
 import importlib
 from types import ModuleType
 
+from nuno.cli import Parser
+
 COMMANDS = {
     "speed": ("nuno_bench.speed.command", "measured bars: kernels, pipeline, start, memory, recording"),
     "precision": ("nuno_bench.precision.command", "every solver's error over the wall time it takes, on any scene"),
@@ -39,6 +41,6 @@ def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
     """Return the module of a measurement, one of COMMANDS, and the parser of its arguments."""
     path, summary = COMMANDS[kind]
     module = importlib.import_module(path)
-    parser = argparse.ArgumentParser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")
+    parser = Parser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")
     getattr(module, f"{kind}_arguments")(parser)
     return module, parser

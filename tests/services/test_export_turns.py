@@ -127,6 +127,18 @@ def test_sides_and_turns_are_of_what_is_drawn(
     assert said in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("plain", "units"),
+    [(["--start", "0.06", "--end", "0.1"], ["--start", "60 ms", "--end", "0.1s"]),
+     (["--turn", "0.2"], ["--turn", "200ms"])],
+)  # fmt: skip
+def test_times_of_an_animation_have_units(plain: list[str], units: list[str], path: Path, tmp_path: Path) -> None:
+    size = f"{SIZE[0]}x{SIZE[1]}"
+    for name, flags in (("a.gif", plain), ("b.gif", units)):
+        assert main(["export", str(path), "--gif", str(tmp_path / name), "--size", size, *flags]) == 0
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+
+
 @pytest.mark.full
 def test_a_run_is_animated_at_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 import shutil
@@ -18,6 +19,7 @@ from scenes import write_scene
 import nuno
 import nuno_bench.cli
 from nuno.cli import COMMANDS, main, parser_of
+from nuno_schemas.errors import BadInput
 
 sys.path.insert(0, str(ROOT / "docs"))
 import durations
@@ -56,6 +58,21 @@ def test_every_command_is_read_by_its_parser(page: str, words: list[str]) -> Non
     args = parser.parse_args(words[2:])
     if words[1] == "bench":
         nuno_bench.cli.parser_of(args.kind)[1].parse_args(args.arguments)
+
+
+def test_an_option_with_one_value_is_not_given_two() -> None:
+    """Of all commands, and whatever the first value is; a parser may be used again."""
+    parsers = [parser_of(name)[1] for name in COMMANDS]
+    parsers += [nuno_bench.cli.parser_of(kind)[1] for kind in nuno_bench.cli.COMMANDS]
+    known = [(parser, action) for parser in parsers for action in parser._actions if action.option_strings]
+    single = [(parser, action) for parser, action in known if isinstance(action, argparse._StoreAction)]
+    assert {action.option_strings[-1] for _, action in single} >= {"--frame", "--record", "--repeats", "--threads"}
+    for parser, action in single:
+        number = action.nargs if isinstance(action.nargs, int) else 1
+        given = [action.option_strings[-1], *[str(next(iter(action.choices or "1")))] * number]
+        for _ in range(2):
+            with pytest.raises(BadInput, match=f"{action.option_strings[-1]}.*more than once"):
+                parser.parse_args([*given, *given])
 
 
 def test_the_readme_is_short_and_says_how_long_each_command_takes() -> None:

@@ -10,7 +10,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from nuno import process
 from nuno.formatting import plain
@@ -67,7 +67,28 @@ COMMANDS = {
 It is imported only when its command is given, so that `nuno run` does not pay for the rest."""
 
 
-class _Parser(argparse.ArgumentParser):
+class _Once(argparse._StoreAction):
+    """Stores the value of an option, which a second one does not replace."""
+
+    seen: argparse.Namespace | None = None
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        """Store a value, as argparse."""
+        if option is not None and self.seen is namespace:
+            raise argparse.ArgumentError(self, "takes one value, and is given more than once")
+        self.seen = namespace
+        super().__call__(parser, namespace, values, option)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser of arguments whose errors are BadInput."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.register("action", None, _Once)
+
     def error(self, message: str) -> NoReturn:
         raise BadInput(message, remedy=f"{self.prog} --help")
 
@@ -150,7 +171,7 @@ def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
         raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
     path, summary = COMMANDS[name]
     module = importlib.import_module(path)
-    parser = _Parser(
+    parser = Parser(
         prog=f"nuno {name}",
         description=summary[0].upper() + summary[1:] + ".",
         formatter_class=argparse.RawDescriptionHelpFormatter,

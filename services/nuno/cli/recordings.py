@@ -78,9 +78,9 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
     which.add_argument("--colour", choices=get_args(Painted), default="auto", help=painted + default_text)
     add_flags(which, {
         "--frame": ("N", "frame for --npz, --forces, --png, --pattern, meshes, yarns (default: last), --usd", int),
-        "--start": ("SECONDS", "animations: from here", float),
-        "--end": ("SECONDS", "animations: to here", float),
-        "--turn": ("SECONDS", "animations: the camera goes once round --frame, in so long", float),
+        "--start": ("TIME", "animations: from here, e.g. 250ms"),
+        "--end": ("TIME", "animations: to here"),
+        "--turn": ("TIME", "animations: the camera goes once round --frame, in so long"),
         "--fps": ("N", "animations: pictures a second (default: 25; of dye alone, so that all takes 5 s)", float),
         "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
         "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "

@@ -11,9 +11,9 @@ from importlib import import_module
 from inspect import signature
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.exports.camera import SIDES, Side
 from nuno.output_files import RATE, Progress, check_folder, check_target, together
@@ -21,10 +21,12 @@ from nuno.recording.reader import Recording
 from nuno.scene.validation_errors import explain
 from nuno_schemas.dyeing import Crop, DyeView, Form
 from nuno_schemas.errors import BadInput
+from nuno_schemas.units import quantity
 
 if TYPE_CHECKING:
     from nuno.exports.dyed_pictures import Changes
 
+Time = Annotated[float, quantity("s")]
 Length = str | float
 """A length with its unit, or in metres."""
 MESHES = (".obj", ".ply", ".glb")
@@ -106,14 +108,14 @@ class ExportRequest(ExportFiles):
     curl: float | None = None
     colour: Painted = "auto"
     frame: int | None = None
-    start: float | None = None
-    end: float | None = None
+    start: Time | None = None
+    end: Time | None = None
     fps: float | None = None
     size: str | None = None
     style: str | None = None
     view: DyeView | None = None
     side: Side | None = None
-    turn: float | None = Field(default=None, gt=0.0, le=3600.0, allow_inf_nan=False)
+    turn: Annotated[float, quantity("s", gt=0.0, le=3600.0)] | None = None
     scale: int | None = None
     crop: tuple[Length, Length, Length, Length] | None = None
     overrides: tuple[str, ...] = ()
