@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recorded_sheet
 from numpy.typing import NDArray
 from PIL import Image
+from recorded_sheet import Sheet
 from rrd import read, write, write_all
 from scenes import write_scene
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
@@ -20,12 +22,13 @@ from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_
 from nuno.cli import main
 from nuno.collision.bodies import surface, vertex_normals
 from nuno.exports.cloth import ShownPiece, paint_yarns
+from nuno.recording.reader import open_recording
 from nuno.recording.writer import part_of
 from nuno.scene import scene_file
 from nuno.simulation import cloth as build
 from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
 from nuno.viewer.cloth import pack, read_image
-from nuno.viewer.file import PIPES, RerunFile
+from nuno.viewer.file import PIPES, RerunFile, convert
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.live import require
 from nuno.viewer.service import with_own_textures
@@ -465,3 +468,19 @@ def test_cloth_that_passes_through_cloth_is_marked_in_those_frames_alone(tmp_pat
     assert {e: list(read(path, e, "Clear:is_recursive")) for e in (between, itself)} == {between: [3], itself: [2]}
     curve = read(path, "/plots/distance", "Scalars:scalars")
     assert [curve[frame][0] for frame in range(5)] == pytest.approx([0.5, 0.0, 0.0, np.nan, np.nan], nan_ok=True)
+
+
+def test_recordings_share_a_layout_where_their_scenes_show_the_same(tmp_path: Path) -> None:
+    import rerun.chunk
+
+    def layout(**fields: Any) -> str:
+        recorded_sheet.write(tmp_path / "run.mcap", Sheet(), frames=2, scene={"name": "waving"} | fields)
+        with open_recording(tmp_path / "run.mcap") as recording:
+            path = convert(recording, tmp_path / "run.rrd")
+        (entry,) = rerun.chunk.RrdReader(path).recordings()
+        return str(entry.application_id)
+
+    shown = [layout(), layout(name="other"), layout(bodies=[{}]), layout(cloth_contact={}), layout(cloth_contact=None)]
+    shown += [layout(view={"links": "tension"}), layout(view={"pictures": "end"})]
+    assert shown.pop(4) == shown[0] == layout(solver={"plugin": "rk4"}, damping=0.1)
+    assert len(set(shown)) == len(shown)

@@ -267,9 +267,11 @@ class Result:
             raise missing("the viewer in a notebook", "'nuno[notebook]'") from None
         import rerun as rr
 
-        with scratch() as folder:
+        from nuno.viewer.stream import application
+
+        with scratch() as folder, self.recording as recording:
             (path,) = export(self, rrd=folder / "run.rrd")
-            stream = rr.RecordingStream("nuno", recording_id=self.path.stem)
+            stream = rr.RecordingStream(application(recording.scene), recording_id=self.path.stem)
             stream.log_file_from_path(path)
             stream.notebook_show()
 

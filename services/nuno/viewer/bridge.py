@@ -153,7 +153,6 @@ class CrossingsView:
         self._shown = set(crossings)
 
 
-APPLICATION = "nuno"
 BATCH = 32
 """Number of poses that are written to a file together."""
 

@@ -17,9 +17,10 @@ from nuno.exports.cloth import read_texture
 from nuno.recording.reader import Recording
 from nuno.recording.writer import part_of
 from nuno.scene.recorded_scene import restored_scene
-from nuno.viewer.bridge import APPLICATION, Bridge
+from nuno.viewer.bridge import Bridge
 from nuno.viewer.cloth import ReadImage, read_image
 from nuno.viewer.dyed import viewer_painter
+from nuno.viewer.stream import APPLICATION, application
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.scene import View
 
@@ -31,7 +32,8 @@ PIPES = Path("/dev/fd")
 class RerunFile:
     """Writes `path` + ".part", which is renamed when it is complete.
 
-    run  the recording's id in rerun. Every message given to `feed` is written.
+    run     the recording's id in rerun. Every message given to `feed` is written.
+    layout  its application id
 
     Raises BadInput if the file cannot be created, RunFailed if writing fails later (disk
     full).
@@ -44,9 +46,10 @@ class RerunFile:
         view: View | None = None,
         images: ReadImage = read_image,
         painter: DyePainter | None = None,
+        layout: str = APPLICATION,
     ) -> None:
         self.path = path
-        self._recording = rr.RecordingStream(APPLICATION, recording_id=run, send_properties=False)
+        self._recording = rr.RecordingStream(layout, recording_id=run, send_properties=False)
         try:
             self._file = part_of(path).open("wb")
         except OSError as error:
@@ -139,7 +142,8 @@ def convert(recording: Recording, path: Path) -> Path:
         painter = None
         if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
-        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter)
+        layout = application(recording.scene)
+        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter, layout)
         try:
             for message in recording.messages():
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)

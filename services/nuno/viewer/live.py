@@ -19,7 +19,7 @@ from typing import Any
 import psutil
 
 from nuno.output_files import check_target
-from nuno.viewer.stream import END
+from nuno.viewer.stream import APPLICATION, END
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FRAMES, STATE
 from nuno_schemas.scene import View
@@ -85,6 +85,7 @@ class LiveView:
     """Passes messages to a process that shows them, `nuno.viewer.stream`.
 
     view      "window", "web" or the address of an open viewer
+    layout    application id, as `stream.application` returns it
     scene     scene of a dyed cloth, as `stream.scene_of` writes it
     leader    the topic with one message per frame
     announce  called with messages for the user ("warning" or "start", text)
@@ -102,6 +103,7 @@ class LiveView:
         announce: Callable[[str, str], object],
         scene: str = "",
         leader: str = STATE.name,
+        layout: str = APPLICATION,
     ) -> None:
         self.frames = self.shown = 0
         self.pid: int | None = None
@@ -111,7 +113,8 @@ class LiveView:
         self._ring = Ring()
         self._connected = threading.Event()
         # -P: a module of the user's folder must not replace one of ours.
-        command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, run, scene_view.model_dump_json(), scene]
+        command = [sys.executable, "-P", "-m", "nuno.viewer.stream"]
+        command += [view, run, scene_view.model_dump_json(), layout, scene]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, start_new_session=True

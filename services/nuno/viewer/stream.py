@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -32,6 +33,7 @@ GOODBYE_SECONDS = 2.0
 END = "end"
 """Topic of the last message, after which the viewer stays open: without it the run was killed."""
 LOOPBACK = "127.0.0.1"
+APPLICATION = "nuno"
 
 
 def say(**status: Any) -> None:
@@ -83,17 +85,28 @@ def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
     return viewer, address, page
 
 
-def connect(address: str, run: str) -> Any:
-    """Return a recording stream to a viewer. Raises OSError if none listens."""
-    import rerun as rr
+def application(scene: Mapping[str, Any]) -> str:
+    """Return the application id of a scene's recordings, from its data. rerun has one layout for each id: it fits the
+    scene of this name, with these parts.
+    """
+    view, record, dye = (scene.get(name) or {} for name in ("view", "record", "dye"))
+    parts = {
+        "bodies": scene.get("bodies"), "contact": scene.get("cloth_contact") not in (None, "none"),
+        "forces": record.get("contact_forces"), "dye": dye, "tension": view.get("links") == "tension",
+        "pictures": view.get("pictures"),
+    }  # fmt: skip
+    return " ".join([APPLICATION, str(scene.get("name", "")), *(name for name, there in parts.items() if there)])
 
-    from nuno.viewer.bridge import APPLICATION
+
+def connect(address: str, run: str, layout: str = APPLICATION) -> Any:
+    """Return a recording stream to a viewer, whose `layout` is an application id. Raises OSError if none listens."""
+    import rerun as rr
 
     place = address.split("//", 1)[1].split("/", 1)[0]
     host, _, port = place.rpartition(":")
     if not port.isdigit() or not listens(int(port), host.strip("[]")):
         raise OSError(f"no viewer listens at {address}")
-    recording = rr.RecordingStream(APPLICATION, recording_id=run)
+    recording = rr.RecordingStream(layout, recording_id=run)
     recording.connect_grpc(address)
     return recording
 
@@ -148,7 +161,7 @@ def scene_of(loaded: Loaded) -> str:
     return json.dumps({"path": str(loaded.path), "overrides": list(loaded.overrides), "roots": roots})
 
 
-def main(mode: str, run: str, view: str, scene: str = "") -> None:
+def main(mode: str, run: str, view: str, layout: str, scene: str) -> None:
     """Show the frames of standard input in a new viewer ("window", "web") or the one at an address."""
     if hasattr(os, "nice"):
         # The viewer inherits it: on a machine with few cores the solver has priority.
@@ -159,7 +172,7 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
         if mode in ("window", "web"):
             viewer, address, page = start_viewer(mode)
             say(pid=viewer.pid, address=address, page=page)
-        recording = connect(address, run)
+        recording = connect(address, run, layout)
         say(connected=True)
         pump(sys.stdin.buffer, recording, View.model_validate_json(view), read_painter(scene))
         # Without a disconnect the viewer shows an error; a viewer that hangs is not waited for.
@@ -177,4 +190,4 @@ def main(mode: str, run: str, view: str, scene: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:5])
+    main(*sys.argv[1:6])
