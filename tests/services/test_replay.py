@@ -13,6 +13,7 @@ import pytest
 import zenoh
 from recorded_sheet import RATE, Sheet, items, metadata, write
 
+from nuno.bus.health import measure
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import free_port, hub
 from nuno.cli import main
@@ -123,9 +124,9 @@ def test_seek_sends_what_a_viewer_needs_first(session: zenoh.Session, recording:
     assert [m.header.frame for m in messages if m.topic == STATE.name] == list(range(25, FRAMES))
 
 
-def test_a_loop_goes_on_numbering_until_it_is_stopped(session: zenoh.Session, recording: Recording) -> None:
-    inbox = Inbox(Bus(session, "again", "listener"), [STATE])
-    replay = Replay(rate=None, loop=True)
+def test_later_passes_go_on_numbering_until_they_are_stopped(session: zenoh.Session, recording: Recording) -> None:
+    inbox, bus = Inbox(Bus(session, "again", "listener"), [STATE]), Bus(session, "again", "replay")
+    replay = Replay(rate=None)
     seen: list[float] = []
 
     def progress(t: float) -> None:
@@ -133,7 +134,12 @@ def test_a_loop_goes_on_numbering_until_it_is_stopped(session: zenoh.Session, re
         if len(seen) == 2 * FRAMES + 5:
             replay.stop.set()
 
-    replay.run(Bus(session, "again", "replay"), recording, progress)
+    passed = []
+    while not replay.stop.is_set():
+        replay.run(bus, recording, progress)
+        passed.append(measure(bus).frames)
+    assert passed == [FRAMES, 2 * FRAMES - 1, 2 * FRAMES + 3]
+    assert measure(bus).frame == 4
     frames = [m.header.frame for m in received(inbox, 2 * FRAMES + 5)]
     assert frames == [*range(FRAMES), *range(FRAMES), *range(5)]
     assert inbox.counts.missing[STATE.name] == 0

@@ -189,7 +189,7 @@ def health(service: str, time: float, frame: int, leads: bool = False, **counts:
     fields = dict.fromkeys(("sent", "sent_bytes", "received", "received_bytes", "waiting", "missing", "refused"), 0)
     place = {"host": "h", "pid": 1, "t": frame / 50, "processor": 0.5 * time, "memory": 2**20, "topics": []}
     return Health.model_validate(
-        {"service": service, "time": time, "frame": frame, "leads": leads} | place | fields | counts
+        {"service": service, "time": time, "frame": frame, "frames": frame, "leads": leads} | place | fields | counts
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,14 @@ from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
 import nuno
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_arrays, encode_points
+from nuno.bus.messages import Bus
 from nuno.cli import main
 from nuno.collision.bodies import surface, vertex_normals
 from nuno.exports.cloth import ShownPiece, paint_yarns
 from nuno.recording.reader import open_recording
+from nuno.recording.recorded import Recorded
 from nuno.recording.writer import part_of
+from nuno.replay.publisher import Replay
 from nuno.scene import scene_file
 from nuno.simulation import cloth as build
 from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
@@ -32,11 +36,12 @@ from nuno.viewer.file import PIPES, RerunFile, convert
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.live import require
 from nuno.viewer.service import with_own_textures
+from nuno.viewer.stream import END, LOOP
 from nuno_kernels.forces.yarn_tension import link_tensions
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float
-from nuno_schemas.messages import BODIES, EVENT, FABRIC, PENETRATION, STATE, Event, Penetration
+from nuno_schemas.messages import BODIES, CHECKPOINT, EVENT, FABRIC, PENETRATION, STATE, Event, Penetration
 from nuno_schemas.scene import View
 
 CLOTH = "/world/cloth/sheet"
@@ -409,13 +414,48 @@ def test_a_live_view_of_a_replay_is_given_an_image_that_is_there(
             if topic == FABRIC.name:
                 seen.append(read_image(decode_arrays(payload)[1]["objects"][0]["texture"]))
 
-        def finish(self, stays: bool = True) -> None:
+        def finish(self, last: str = END) -> None:
             pass
 
     monkeypatch.setattr("nuno.viewer.service.LiveView", Watched)
     assert main(["replay", str(recording), "--fast", "--view", "web"]) == 0
     assert len(seen) == 1
     assert np.array_equal(seen[0], PIXELS)
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+def test_a_live_view_of_a_loop_gets_each_message_once(
+    passes: int, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fed, last = [], []
+
+    class Counting:
+        pid, page, error, shown, skipped = None, "", "", 0, 0
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def feed(self, topic: str, *_: object) -> None:
+            fed.append(topic)
+
+        def finish(self, last_message: str = "") -> None:
+            last.append(last_message)
+
+    publish, sent = Replay._publish, []
+
+    def publish_some(self: Replay, bus: Bus, message: Recorded, *mark: Any) -> None:
+        if len(sent) == passes * frames:
+            raise KeyboardInterrupt
+        sent.append(message)
+        publish(self, bus, message, *mark)
+
+    with open_recording(recording) as opened:
+        frames, shown = len(list(opened.messages())), [m.topic for m in opened.messages() if m.topic != CHECKPOINT.name]
+    monkeypatch.setattr("nuno.viewer.service.LiveView", Counting)
+    monkeypatch.setattr(Replay, "_publish", publish_some)
+    assert main(["replay", str(recording), "--fast", "--loop", "--view", "web"]) == 1
+    assert Counter(fed) == Counter(shown)
+    assert last == [LOOP]
 
 
 @pytest.mark.parametrize(

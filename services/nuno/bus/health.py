@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from nuno.bus.messages import Bus, Query
 from nuno.bus.sessions import direct
 from nuno_schemas.errors import RunFailed
+from nuno_schemas.messages import FRAMES, STATUSES
 
 # Liveliness of the services of a run.
 
@@ -81,6 +82,8 @@ class Health(BaseModel):
     leads: bool
     """Whether it publishes frames and receives none."""
     frame: int
+    frames: int
+    """Passed frames, for rates: a loop counts them again."""
     t: float
     """Simulation time of the last published message [s]."""
     sent: int
@@ -108,7 +111,8 @@ def measure(bus: Bus) -> Health:
     def total(name: str) -> int:
         return sum(sum(list(getattr(inbox.counts, name).values())) for inbox in inboxes)
 
-    published_frame = max((p.frame for p in publishers), default=-1)
+    leading = [p for p in publishers if p.topic.name in (*FRAMES, *STATUSES)]  # others may rest while a loop goes on
+    published_frame = max((p.frame for p in leading), default=-1)
     received_frame = max((inbox.frame for inbox in inboxes), default=-1)
     return Health(
         service=bus.service,
@@ -117,7 +121,8 @@ def measure(bus: Bus) -> Health:
         time=time.monotonic(),
         leads=received_frame < 0 <= published_frame,
         frame=received_frame if received_frame >= 0 else published_frame,
-        t=max((p.t for p in publishers), default=0.0),
+        frames=received_frame if received_frame >= 0 else max((p.frames for p in leading), default=0),
+        t=max((p.t for p in leading or publishers), default=0.0),
         sent=sum(p.sent for p in publishers),
         sent_bytes=sum(p.payload_bytes for p in publishers),
         received=total("received"),

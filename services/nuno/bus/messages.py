@@ -50,6 +50,8 @@ class Publisher:
     payload_bytes: int = 0
     frame: int = -1
     """Last published frame."""
+    frames: int = 0
+    """Published frames, also those that a loop publishes again."""
     t: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -60,7 +62,9 @@ class Publisher:
             self.handle.put(payload, attachment=header.model_dump_json())
             self.sent += 1
             self.payload_bytes += len(payload)
-            self.frame, self.t = max(self.frame, frame), t if frame >= 0 else self.t
+            if frame >= 0:
+                self.frames += max(0, frame - self.frame)
+                self.frame, self.t = frame, t
             self.seconds += time.perf_counter() - start
 
 

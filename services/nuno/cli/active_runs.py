@@ -157,14 +157,14 @@ def compare(before: Mapping[str, Health], after: Mapping[str, Health]) -> list[L
     """
     both = sorted((h for h in after.values() if h.service in before), key=lambda h: (not h.leads, h.service))
     leader = max((h for h in both if h.leads), key=lambda h: h.frame, default=None)
-    pace = rate(before[leader.service], leader, "frame") if leader is not None else 0.0
+    pace = rate(before[leader.service], leader, "frames") if leader is not None else 0.0
     lines: list[Line] = []
     for now in both:
-        rates = {name: rate(before[now.service], now, name) for name in ("frame", "sent", "received", "processor")}
+        rates = {name: rate(before[now.service], now, name) for name in ("frames", "sent", "received", "processor")}
         behind = max(0, leader.frame - now.frame) if leader is not None and now.frame >= 0 else 0
         lines.append({
             "service": now.service, "leads": now.leads, "frame": now.frame, "t": now.t,
-            "frames": rates["frame"] if now.frame >= 0 else 0.0, "behind": behind,
+            "frames": rates["frames"] if now.frame >= 0 else 0.0, "behind": behind,
             "late": 0.0 if not behind else 1e3 * behind / pace if pace > 0.0 else None,
             "sent": rates["sent"], "sent_megabytes": rate(before[now.service], now, "sent_bytes") / 1e6,
             "received": rates["received"],

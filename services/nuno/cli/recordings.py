@@ -38,7 +38,6 @@ from nuno.runtime import runs
 from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.recorded_scene import restored_scene
-from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import add_view, choose_view, keep_page
 from nuno_schemas.dyeing import DyeView, Form
 from nuno_schemas.errors import BadInput
@@ -271,7 +270,7 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     run = runs.new_id(name) if args.run is None else runs.check_id(args.run)
     shown = view is not None or args.save is not None
     options = Options(view=view, save=args.save, must_see=("viewer",) if args.save else ())
-    replay = Replay(None if args.fast else args.rate, args.start, args.loop, options.must_see)
+    replay = Replay(None if args.fast else args.rate, args.start, options.must_see)
     replay.check(recording)
     with contextlib.ExitStack() as stack:
         session, endpoint = stack.enter_context(hub_at(args.listen, args.config))
@@ -279,14 +278,13 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         bus = Bus(session, run, SUPERVISOR)
         offer_health(bus)
         stack.enter_context(bus.alive())
-        if shown:
-            stack.enter_context(_viewer(stack.enter_context(restored_scene(recording)), bus, options))
         print(plain(f"replaying {recording.path} as {run} at {endpoint}"), file=sys.stderr)
-        ended = ""
-        try:
-            replay.run(bus, recording)
-        except KeyboardInterrupt as signal:
-            ended = state_of(signal)
+        answer: dict[str, Any] = {}
+        with _viewer(recording, bus, options, args.loop, answer) if shown else contextlib.nullcontext():
+            ended = _play(replay, bus, recording)
+        while args.loop and not ended:  # the viewer has all frames, and plays them again itself
+            ended = _play(replay, bus, recording)
+        keep_page(view, answer)
     total = sum(replay.sent.values())
     print(f"{total} messages, {replay.frames} frames")
     if ended:
@@ -294,17 +292,26 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
     return int(bool(ended))
 
 
+def _play(replay: Replay, bus: Bus, recording: Recording) -> str:
+    """Publish a recording once; return the signal that ended it before, or ""."""
+    try:
+        replay.run(bus, recording)
+    except KeyboardInterrupt as signal:
+        return state_of(signal)
+    return ""
+
+
 @contextlib.contextmanager
-def _viewer(loaded: Loaded, bus: Bus, options: Options) -> Iterator[None]:
-    """The viewer service, in a thread, for one replay."""
-    work = ("viewer", loaded, bus.session, bus.run, options)
-    thread = threading.Thread(target=run_service, args=work, daemon=True)
-    thread.start()
-    if Watch(bus).wait_for({"viewer"}, 60.0):
-        raise BadInput("the viewer did not start")
-    yield
-    answer = bus.ask_json("finish/viewer", {}, 30.0)
-    thread.join(10.0)
+def _viewer(recording: Recording, bus: Bus, options: Options, loop: bool, answer: dict[str, Any]) -> Iterator[None]:
+    """The viewer service, in a thread, for one pass of a replay; at its end `answer` gets the service's last."""
+    with restored_scene(recording) as loaded:
+        work = ("viewer", loaded, bus.session, bus.run, options)
+        thread = threading.Thread(target=run_service, args=work, daemon=True)
+        thread.start()
+        if Watch(bus).wait_for({"viewer"}, 60.0):
+            raise BadInput("the viewer did not start")
+        yield
+        answer |= bus.ask_json("finish/viewer", {"loop": loop}, 30.0)
+        thread.join(10.0)
     if answer.get("file"):
         print(f"rerun file {answer['file']}")
-    keep_page(options.view, answer)

@@ -43,13 +43,11 @@ class Replay:
 
     rate      simulated seconds a second of wall time; None: as fast as the subscribers take it
     start     simulation time [s] to begin at; data that a viewer needs (cloth, bodies) comes first
-    loop      begin again at `start` after the end
     must_see  services that acknowledge every frame, and that the replay waits for
     """
 
     rate: float | None = 1.0
     start: float = 0.0
-    loop: bool = False
     must_see: tuple[str, ...] = ()
     stop: threading.Event = field(default_factory=threading.Event)
     """Set it (from any thread) to end the replay after the present message."""
@@ -59,27 +57,24 @@ class Replay:
     def run(self, bus: Bus, recording: Recording, progress: Progress | None = None) -> None:
         """Publish `recording` as the run of `bus`, until its end or `stop`.
 
-        Headers are new: the run is the bus's, numbers count from 0 on, without the recording's gaps,
-        since a loop goes back; frame and digest are those of `Recording.mark`. `progress` is called
+        Headers are new: the run is the bus's, numbers count on from those of earlier passes, without the
+        recording's gaps; frame and digest are those of `Recording.mark`. `progress` is called
         with each frame's time [s]. Raises BadInput for a rate or start out of range, RunFailed where
         a service in `must_see` dies or hangs.
         """
         span = self.check(recording)
-        acks = _Acks(bus, self.must_see)
+        acks = _Acks(bus, self.must_see, self.frames)
         try:
-            while not self.stop.is_set():
-                begin = time.perf_counter()
-                for message in _from(recording, self.start):
-                    self._wait(message.t - max(self.start, span[0]), begin)
-                    if self.stop.is_set():
-                        return
-                    self._publish(bus, message, *recording.mark(message))
-                    if message.topic in FRAMES:
-                        acks.wait(self.frames - WINDOW, self.stop)
-                        if progress is not None:
-                            progress(message.t)
-                if not self.loop:
-                    break
+            begin = time.perf_counter()
+            for message in _from(recording, self.start):
+                self._wait(message.t - max(self.start, span[0]), begin)
+                if self.stop.is_set():
+                    return
+                self._publish(bus, message, *recording.mark(message))
+                if message.topic in FRAMES:
+                    acks.wait(self.frames - WINDOW, self.stop)
+                    if progress is not None:
+                        progress(message.t)
             acks.wait(self.frames, self.stop)
         finally:
             acks.close()
@@ -133,11 +128,11 @@ def _from(recording: Recording, start: float) -> Iterator[Recorded]:
 
 
 class _Acks:
-    """Counts acknowledgements; a count, not a frame number, since a loop sends frames again."""
+    """Counts acknowledgements from `frames` on; a count, not a frame number, since a loop sends frames again."""
 
-    def __init__(self, bus: Bus, services: tuple[str, ...]) -> None:
+    def __init__(self, bus: Bus, services: tuple[str, ...], frames: int) -> None:
         self._inbox = Inbox(bus, [ack_topic(name) for name in services])
-        self._seen = {ack_topic(name).name: 0 for name in services}
+        self._seen = {ack_topic(name).name: frames for name in services}
         self._watch = Watch(bus)
         missing = self._watch.wait_for(set(services), PATIENCE)
         if missing:

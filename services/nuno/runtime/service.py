@@ -134,7 +134,7 @@ def ack_topic(service: str) -> Topic:
 
 
 class Finish(BaseModel):
-    """The query that ends a service; the recorder's has the report and the counts for the file."""
+    """The query that ends a service; the recorder's has the counts for the file."""
 
     model_config = ConfigDict(strict=True)
     error: str = ""
@@ -143,6 +143,9 @@ class Finish(BaseModel):
     """Messages sent by topic."""
     state: str = "done"
     report: dict[str, Any] | None = None
+    """The recorder's and the viewer's."""
+    loop: bool = False
+    """Whether a live viewer plays the frames again and again, once it has all."""
 
     @property
     def failure(self) -> str:

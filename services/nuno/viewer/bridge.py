@@ -179,6 +179,7 @@ class Bridge:
         painter: DyePainter | None = None,
     ) -> None:
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
+        self.play: layout.Play = "following" if live else "playing"
         self.frames = 0
         self._cloths: list[Cloth] = []
         self._fabrics: dict[str, int] = {}
@@ -251,6 +252,13 @@ class Bridge:
         if self._dyed is not None:
             self._dyed.flush()
 
+    def loop(self) -> None:
+        """Have the viewer play all frames again and again."""
+        self.play = "looping"
+        self._arrange()
+        if self._dyed is not None and self._dyed.names:
+            self._dyed.arrange_window(self.play)
+
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
         self.recording.log(path, *what, static=static, strict=True)
 
@@ -310,7 +318,7 @@ class Bridge:
             bodies, meets = self._bodies is not None, self._crossings is not None
             ground = self._bodies is not None and self._bodies.ground
             shown = self._pictured, legend, meets, ground, self._felt
-            blueprint = layout.arrange(self._eye, bodies, self.live, dyes, *shown)
+            blueprint = layout.arrange(self._eye, bodies, self.play, dyes, *shown)
             self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _status(self, payload: bytes) -> None:

@@ -99,7 +99,7 @@ class DyedCloth:
             self.names = list(status.mobile)
             for name in self.names:
                 self._log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
-            self._arrange_window()
+            self.arrange_window("following" if self.live else "playing")
         for name in self.names:
             mobile, fixed = (layout.number(amount.get(name)) for amount in (status.mobile, status.fixed))
             values = [layout.number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
@@ -109,14 +109,14 @@ class DyedCloth:
         if status.message:
             self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
 
-    def _arrange_window(self) -> None:
+    def arrange_window(self, play: layout.Play) -> None:
         """Arrange the window once the dyes are known."""
         if self._wear is not None:
             self._arrange()
             return
         self._log("/plots/time", layout.names(["computing the frame"]), static=True)
         duration = self.painter.duration * self.painter.speed
-        blueprint = layout.arrange_dyed(self.names, self.painter.shape, duration, self.live)
+        blueprint = layout.arrange_dyed(self.names, self.painter.shape, duration, play)
         self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
 
     def _draw(self, frame: int, t: float, payload: bytes) -> None:

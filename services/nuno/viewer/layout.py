@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -28,6 +28,8 @@ CURVES = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [240, 2
 TOTAL = [128, 128, 128]
 """Grey that is visible on the dark and the light theme."""
 PLAY_SECONDS = 10.0
+Play = Literal["following", "playing", "looping"]
+"""What the time does: it follows the newest frame, or plays from the start, once or again and again."""
 MOST_ROWS = 4
 """Most plots of dyes in a column; more are put into tabs."""
 BACKGROUND, LINES = [226, 230, 234], [120, 126, 134, 90]
@@ -71,7 +73,7 @@ def fit_eye(points: Float, view: View) -> Eye:
 
 
 def arrange(
-    eye: Eye, bodies: bool, live: bool, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
+    eye: Eye, bodies: bool, play: Play, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
     meets: bool = False, ground: bool = False, felt: bool = False,
 ) -> Any:  # fmt: skip
     """Return the blueprint: the scene large on the left, with the `legend` of its links' tension below and the
@@ -105,10 +107,10 @@ def arrange(
         )
         scene = rrb.Vertical(scene, scale, row_shares=[9.0, 1.0])
     main = scene if not pictures else rrb.Horizontal(scene, rrb.Spatial2DView(name="Yarns", origin=YARNS))
-    return _blueprint(main, [rrb.Vertical(*part, name=name) for name, part in tabs], live)
+    return _blueprint(main, [rrb.Vertical(*part, name=name) for name, part in tabs], play)
 
 
-def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live: bool) -> Any:
+def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, play: Play) -> Any:
     """Return the blueprint of a dyed cloth: its picture large on the left, curves of each dye on the right.
 
     `shape` is that of the picture [pixels]. Curves show the whole `duration` of the dyeing [s], which is played within
@@ -124,7 +126,7 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, live:
         visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
     )
     return _blueprint(
-        picture, [rrb.Vertical(*plots, name="Curves")], live, DYE_TIMELINE, max(1.0, duration / PLAY_SECONDS)
+        picture, [rrb.Vertical(*plots, name="Curves")], play, DYE_TIMELINE, max(1.0, duration / PLAY_SECONDS)
     )
 
 
@@ -142,7 +144,7 @@ def curves(name: str, what: str, legend: bool = False, duration: float | None = 
     )
 
 
-def _blueprint(main: Any, plots: list[Any], live: bool, timeline: str = TIMELINE, speed: float = 1.0) -> Any:
+def _blueprint(main: Any, plots: list[Any], play: Play, timeline: str = TIMELINE, speed: float = 1.0) -> Any:
     side = rrb.Tabs(
         *plots,
         rrb.TextDocumentView(name="About", origin="/about"),
@@ -158,7 +160,8 @@ def _blueprint(main: Any, plots: list[Any], live: bool, timeline: str = TIMELINE
             state="collapsed",
             timeline=timeline,
             playback_speed=speed,
-            play_state="following" if live else "playing",
+            play_state="playing" if play == "looping" else play,
+            loop_mode="all" if play == "looping" else None,
         ),
         auto_views=False,
         auto_layout=False,

@@ -133,12 +133,12 @@ class LiveView:
         self.frames += topic == self._leader
         self._ring.put((topic, frame, t, payload))
 
-    def finish(self, stays: bool = True) -> None:
-        """Wait for a limited time until the last frames are shown; the viewer itself `stays` open, or ends as when this
-        process is killed.
+    def finish(self, last: str = END) -> None:
+        """Wait for a limited time until the last frames are shown; the viewer itself stays open after END or LOOP, and
+        ends as when this process is killed without a `last` message.
         """
-        if stays:
-            self._ring.put((END, 0, 0.0, b""))
+        if last:
+            self._ring.put((last, 0, 0.0, b""))
         self._ring.close()
         self._connected.wait(CONNECT_SECONDS)
         end = time.monotonic() + FINISH_MOST

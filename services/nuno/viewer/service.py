@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.bus.messages import Inbox, Message
 from nuno.exports.cloth import find_named
-from nuno.runtime.service import Context, each_message
+from nuno.runtime.service import Context, Finish, each_message
 from nuno.scene.provenance import assets
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import LiveView, require
-from nuno.viewer.stream import application, scene_of
+from nuno.viewer.stream import END, LOOP, application, scene_of
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, STATE, TOPICS, Topic
 
@@ -102,16 +102,16 @@ class Viewer:
             self.show(message)
         self.early = None
 
-    def close(self, stays: bool = True) -> dict[str, Any]:
-        """End the views, and return a summary. A live view's viewer `stays` open. Raises RunFailed if the file could
-        not be written.
+    def close(self, last: str = "") -> dict[str, Any]:
+        """End the views, and return a summary. A live view gets a `last` message, without which it ends, too. Raises
+        RunFailed if the file could not be written.
         """
         summary: dict[str, Any] = {"frames": self.frames, "seconds": self.seconds}
         if self.file is not None:
             file, self.file = self.file, None
             summary |= {"shown": file.bridge.frames, "saved": file.bridge.frames, "file": str(file.finish())}
         if self.live is not None:
-            self.live.finish(stays)
+            self.live.finish(last)
             summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
             summary |= {"pid": self.live.pid, "page": self.live.page}
         return summary
@@ -133,9 +133,10 @@ def main(context: Context) -> None:
         finish = each_message(context, viewer.inbox, viewer.handle)
         viewer.drain()
     except RunFailed:
-        viewer.close(stays=False)
+        viewer.close()
         raise
-    finish.answer_json(context.counts(viewer.inbox) | viewer.close())
+    request = Finish.model_validate_json(finish.payload)
+    finish.answer_json(context.counts(viewer.inbox) | viewer.close(LOOP if request.loop else END))
 
 
 def with_own_textures(fabric: bytes, files: Mapping[str, Path]) -> bytes:

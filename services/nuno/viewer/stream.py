@@ -30,8 +30,9 @@ START_SECONDS = 20.0
 FLUSH_SECONDS = 10.0
 """Longest wait until a viewer accepts one frame [s]."""
 GOODBYE_SECONDS = 2.0
-END = "end"
-"""Topic of the last message, after which the viewer stays open: without it the run was killed."""
+END, LOOP = "end", "loop"
+"""Topics of the last message, after which the viewer stays open, or plays all frames again and again: without it the
+run was killed."""
 LOOPBACK = "127.0.0.1"
 APPLICATION = "nuno"
 
@@ -112,7 +113,7 @@ def connect(address: str, run: str, layout: str = APPLICATION) -> Any:
 
 
 def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | None = None) -> int:
-    """Log messages until the input ends; return the number of shown frames. Raises EOFError without END.
+    """Log messages until the input ends; return the number of shown frames. Raises EOFError without END or LOOP.
 
     Each frame is flushed with a time limit: so a slow viewer slows the run's ring, which then
     skips frames, and this process does not accumulate frames.
@@ -122,21 +123,23 @@ def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | Non
     from nuno_schemas.messages import FRAMES
 
     bridge = Bridge(recording, view, live=True, painter=painter)
-    ended = False
+    topic = ""
     while line := source.readline():
         head = json.loads(line)
         payload = source.read(head["size"])
-        ended = head["topic"] == END
+        topic = head["topic"]
         try:
-            bridge.feed(head["topic"], head["frame"], head["t"], payload)
+            bridge.feed(topic, head["frame"], head["t"], payload)
         except BadMessage:
             continue
-        if head["topic"] in FRAMES:
+        if topic in FRAMES:
             recording.flush(timeout_sec=FLUSH_SECONDS)
             say(shown=bridge.frames)
-    if not ended:
+    if topic not in (END, LOOP):
         raise EOFError
     bridge.flush()
+    if topic == LOOP:
+        bridge.loop()
     recording.flush(timeout_sec=FLUSH_SECONDS)
     return bridge.frames
 
