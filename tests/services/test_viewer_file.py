@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import dye_scene
 import numpy as np
 import pytest
 import recorded_sheet
 from numpy.typing import NDArray
 from PIL import Image
 from recorded_sheet import Sheet
-from rrd import read, write, write_all
+from rrd import columns, read, write, write_all
 from scenes import write_scene
 from viewer_run import RATE, Fed, bodies, fabric, messages, poses, sheet, wave
 
@@ -524,3 +526,21 @@ def test_recordings_share_a_layout_where_their_scenes_show_the_same(tmp_path: Pa
     shown += [layout(view={"links": "tension"}), layout(view={"pictures": "end"})]
     assert shown.pop(4) == shown[0] == layout(solver={"plugin": "rk4"}, damping=0.1)
     assert len(set(shown)) == len(shown)
+
+
+@pytest.mark.parametrize("dyed", [False, True])
+def test_a_runs_file_has_the_report_of_its_recording_but_for_its_own_frames(dyed: bool, tmp_path: Path) -> None:
+    scene = (dye_scene.write_scene if dyed else write_scene)(tmp_path)
+    record, saved = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    assert main(["run", str(scene), "--record", str(record), "--save", str(saved)]) == 0
+    (texts,) = columns(saved, "TextDocument:text")["/report"]
+    shown = json.loads(texts[0].removeprefix("```json\n").removesuffix("\n```"))
+    with open_recording(record) as recording:
+        kept = recording.report()
+    assert kept["frames"].pop("shown") > 0 and shown["frames"].pop("shown") is None
+    assert {**shown, "parts_seconds": None, "missing": 0, "refused": 0} == {
+        **kept,
+        "parts_seconds": None,
+        "missing": 0,
+        "refused": 0,
+    }

@@ -85,7 +85,7 @@ def lines(report: Report) -> list[tuple[str, str]]:
     if frames["recorded"] is not None:
         text += f", {frames['recorded']} recorded ({data_size(report['recorded_bytes'])})"
     if "viewer" in report["services"]:
-        text += f", {frames['shown']} shown"
+        text += f", {frames['shown'] or 0} shown"
     rows.append(("frames", f"{text}, {report['missing']} missing, {report['refused']} refused"))
     if report.get("lost"):
         rows.append(("INCOMPLETE", f"the recording lacks {counted(report['lost'])}"))
@@ -346,7 +346,7 @@ def _traffic(outcome: Outcome) -> Report:
         "frames": {
             "sent": sum(_frames(services.get(name, {}).get("sent") or {}) for name in {outcome.plan.leader, "dye"}),
             "recorded": _frames(recorder["counts"]) if "counts" in recorder else None,
-            "shown": viewer.get("shown", 0),
+            "shown": viewer.get("shown"),
         },
         "missing": _count("missing", services),
         "lost": dict(recorder.get("missing") or {}),

@@ -273,6 +273,7 @@ class Supervisor:
     def finish(self, error: str, report: Summarise, discard: bool = False) -> dict[str, dict[str, Any]]:
         """Ask each service to finish, the recorder last, and return their counts.
 
+        The report that the viewer and the recorder get lacks what those that finish later count.
         `discard` removes the recording of a run that has not begun.
         Services that are not ready yet end when the supervisor is gone.
         """
@@ -292,12 +293,14 @@ class Supervisor:
             state = "failed" if failure_known or not self.ended else str(self.ended.get("state", "failed"))
             state = error if error in SIGNALS else state
             request: dict[str, Any] = {"error": error, "state": state}
+            if name in ("viewer", "recorder"):
+                request["report"] = report(answers)
             if name == "recorder":
                 # A failed service does not answer: the recorder needs at least the messages that arrived here.
                 counts = self.inbox.counts
                 sent = {t: n + counts.missing[t] - self.unrecorded.get(t, 0) for t, n in counts.received.items()}
                 sent |= {topic: n for answer in answers.values() for topic, n in answer.get("sent", {}).items()}
-                request |= {"discard": discard, "expected": sent, "report": report(answers)}
+                request |= {"discard": discard, "expected": sent}
             # A service that the run has already waited for gets no longer timeout.
             patience = FINISH_TIMEOUT if name == self.blamed else PATIENCE_AT_END.get(name, FINISH_TIMEOUT)
             if name == "render" and self.progress is not None and not error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping
 from pathlib import Path, PurePath
@@ -16,7 +17,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import LiveView, require
 from nuno.viewer.stream import END, LOOP, application, scene_of
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, STATE, TOPICS, Topic
+from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, REPORT, STATE, TOPICS, Topic
 
 if TYPE_CHECKING:
     from nuno.dye.painter import DyePainter
@@ -81,18 +82,22 @@ class Viewer:
         payload = message.payload
         if message.topic == FABRIC.name:
             payload = with_own_textures(payload, assets(self.context.loaded))
-        if self.live is not None:
-            self.live.feed(message.topic, header.frame, header.t, payload)
-        if self.file is not None:
-            try:
-                self.file.feed(message.topic, header.frame, header.t, payload)
-            except BadMessage:
-                self.inbox.counts.refused[message.topic] += 1
+        self.feed(message.topic, header.frame, header.t, payload)
         if message.topic in FRAMES:
             self.frames += message.topic == self.leader
             if self.acknowledges:
                 self.context.acknowledge(header.frame, header.t)
         self.seconds += time.perf_counter() - start
+
+    def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
+        """Pass a message to the views. Raises RunFailed."""
+        if self.live is not None:
+            self.live.feed(topic, frame, t, payload)
+        if self.file is not None:
+            try:
+                self.file.feed(topic, frame, t, payload)
+            except BadMessage:
+                self.inbox.counts.refused[topic] += 1
 
     def drain(self) -> None:
         """Handle all messages that are still on their way."""
@@ -132,10 +137,12 @@ def main(context: Context) -> None:
     try:
         finish = each_message(context, viewer.inbox, viewer.handle)
         viewer.drain()
+        request = Finish.model_validate_json(finish.payload)
+        if request.report:
+            viewer.feed(REPORT.name, -1, 0.0, json.dumps(request.report).encode())
     except RunFailed:
         viewer.close()
         raise
-    request = Finish.model_validate_json(finish.payload)
     finish.answer_json(context.counts(viewer.inbox) | viewer.close(LOOP if request.loop else END))
 
 
