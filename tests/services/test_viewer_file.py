@@ -25,7 +25,7 @@ from nuno.bus.encodings import BadMessage, decode_arrays, decode_points, encode_
 from nuno.bus.messages import Bus
 from nuno.cli import main
 from nuno.collision.bodies import surface, vertex_normals
-from nuno.exports.cloth import ShownPiece, paint_yarns
+from nuno.exports.cloth import ShownPiece, cut_pieces, paint_yarns
 from nuno.recording.reader import open_recording
 from nuno.recording.recorded import Recorded
 from nuno.recording.writer import part_of
@@ -33,7 +33,7 @@ from nuno.replay.publisher import Replay
 from nuno.scene import scene_file
 from nuno.simulation import cloth as build
 from nuno.simulation.yarns import SPAN, Tensions, structural_edges, tension_arrays
-from nuno.viewer.cloth import pack, read_image
+from nuno.viewer.cloth import pack, paint, read_image
 from nuno.viewer.file import PIPES, RerunFile, convert
 from nuno.viewer.layout import HALF_VIEW, fit_eye, stage
 from nuno.viewer.live import require
@@ -397,6 +397,19 @@ def test_a_replay_is_saved_with_the_recordings_own_image(recording: Path, tmp_pa
     batches = (chunk.to_record_batch() for chunk in rerun.chunk.RrdReader(saved).stream().to_chunks())
     found = [batch[column].to_pylist() for batch in batches if column in batch.schema.names]
     assert np.ravel(found).tolist() == PIXELS.ravel().tolist()
+
+
+def test_an_export_paints_cloth_by_its_stretch_whatever_its_image(recording: Path, tmp_path: Path) -> None:
+    plain, painted = tmp_path / "plain.rrd", tmp_path / "painted.rrd"
+    assert main(["export", str(recording), "--rrd", str(plain)]) == 0
+    assert main(["export", str(recording), "--rrd", str(painted), "--colour", "stretch"]) == 0
+    assert "/world/cloth/cloth" in columns(plain, "Mesh3D:albedo_texture_buffer")
+    assert not columns(painted, "Mesh3D:albedo_texture_buffer")
+    colours = read(painted, "/world/cloth/cloth", "Mesh3D:vertex_colors")
+    with open_recording(recording) as opened:
+        (piece,) = cut_pieces(*opened.fabric())
+        for shown, points in zip(colours.values(), opened.frames(), strict=True):
+            assert np.array_equal(shown, paint(piece.stretch(points.x)))
 
 
 def test_a_live_view_of_a_replay_is_given_an_image_that_is_there(

@@ -70,7 +70,8 @@ def _add_yarns(yarns: argparse._ArgumentGroup) -> None:
 
 def _add_parts(which: argparse._ArgumentGroup) -> None:
     painted = (
-        "pictures and animations: cloth in its own texture or colour, by its stretch, or by a knit's pressure; "
+        "pictures, animations and --rrd: cloth in its own texture or colour, by its stretch, or, in pictures, by a "
+        "knit's pressure; "
         "--pattern: outlines, the print (cloth), or triangles by their strain, the largest, or along warp or weft "
     )
     default_text = "(default: its own where the scene gives one)"

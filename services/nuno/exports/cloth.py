@@ -205,6 +205,15 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
     return pieces
 
 
+def coloured(piece: ShownPiece, colour: str) -> ShownPiece:
+    """Return the piece prepared for painting: by its texture, else its colour, else its yarns, else its stretch."""
+    if colour in ("stretch", "pressure"):
+        return replace(piece, image=None, texture=None, colour=None, yarns=None, tensions=None)
+    if colour == "auto" or piece.colour is not None or len(piece.faces):
+        piece = replace(piece, yarns=None)
+    return replace(piece, colour=piece.colour or PLAIN) if colour == "cloth" and piece.yarns is None else piece
+
+
 def _inside(indices: Int, start: int, stop: int) -> NDArray[np.bool_]:
     inside = (indices >= start) & (indices < stop)
     if (inside.any(axis=1) != inside.all(axis=1)).any():

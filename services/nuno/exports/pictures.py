@@ -16,7 +16,6 @@ from pydantic import BaseModel
 from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
     BODY,
-    PLAIN,
     SIDES,
     STRETCH,
     Pieces,
@@ -25,6 +24,7 @@ from nuno.exports.cloth import (
     ShownPiece,
     body_vertices,
     check_size,
+    coloured,
     paint_pressure,
     read_bodies,
     read_frame,
@@ -119,7 +119,7 @@ class Painter:
 
     def pieces(self, t: float) -> list[ShownPiece]:
         """Return the cloth at t [s], ready for painting."""
-        return [_coloured(piece, self.colour) for piece in self.cloth.at(t)]
+        return [coloured(piece, self.colour) for piece in self.cloth.at(t)]
 
     def meshes(self, frame: Frame) -> list[Mesh]:
         """Return all meshes of a frame, rotated to z up, for renderer and camera."""
@@ -168,15 +168,6 @@ def check_colour(colour: str) -> None:
     if colour not in get_args(Colour):
         limit = ", ".join(get_args(Colour))
         raise BadInput("cloth cannot be painted by that", field="--colour", value=colour, limit=limit)
-
-
-def _coloured(piece: ShownPiece, colour: Colour) -> ShownPiece:
-    """Return the piece prepared for painting: by its texture, else its colour, else its yarns, else its stretch."""
-    if colour in ("stretch", "pressure"):
-        return replace(piece, image=None, colour=None, yarns=None)
-    if colour == "auto" or piece.colour is not None or len(piece.faces):
-        piece = replace(piece, yarns=None)
-    return replace(piece, colour=piece.colour or PLAIN) if colour == "cloth" and piece.yarns is None else piece
 
 
 def export_picture(

@@ -225,7 +225,7 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     pictured = bool(asked.png or asked.gif or asked.mp4)
     if asked.side and asked.style:
         raise BadInput("for pictures of no style", field="--side", value=asked.side, remedy="leave it out")
-    drawn = () if pictured else DRAWN[bool(asked.pattern) :]
+    drawn = () if pictured else DRAWN[bool(asked.pattern or asked.rrd) :]
     for name in (*(() if asked.gif or asked.mp4 else ("turn", "start", "end", "fps")), *drawn):
         if (value := getattr(asked, name)) not in (None, "auto", ()):
             problem, file = ("for pictures and animations", "png") if name in DRAWN else ("for animations", "mp4")
@@ -245,9 +245,9 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
         if (path := getattr(asked, name)) is not None and path.suffix.lower() != f".{name}":
             raise BadInput("a folder takes every frame", field="--frame", value=asked.frame, limit=f"--{name} {path}",
                            remedy=f"--{name} {path}.{name}")  # fmt: skip
-    only = {True: ("pressure",), False: ("warp", "weft")}[bool(asked.pattern)]
-    if asked.colour in only or (asked.colour in ("warp", "weft") and (asked.png or asked.gif or asked.mp4)):
-        problem = "pressure is for pictures" if asked.pattern and asked.colour == "pressure" else "for --pattern alone"
+    shown, threads = pictured or bool(asked.rrd), asked.colour in ("warp", "weft")
+    if (asked.colour == "pressure" and (asked.pattern or asked.rrd)) or (threads and (shown or not asked.pattern)):
+        problem = "for --pattern alone" if threads else "pressure is for pictures"
         raise BadInput(problem, field="--colour", value=asked.colour, remedy="leave it out, or write the two by turns")
     if asked.style and (recording.dyed_alone or not asked.png):
         problem = "a style is for --png of a knit"

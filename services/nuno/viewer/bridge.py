@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
-from nuno.exports.cloth import cut_pieces
+from nuno.exports.cloth import coloured, cut_pieces
 from nuno.formatting import duration
 from nuno.simulation.yarns import SPAN
 from nuno.viewer import layout
@@ -165,6 +165,7 @@ class Bridge:
     live       the viewer follows the newest frame instead of playing from the start
     images     reads a texture by its path; returns None if it cannot
     painter    draws the scene's dyed cloth; None for a scene without dye
+    colour     how all cloth is painted, cloth or stretch; auto: as the view says
 
     Poses are logged in batches: `flush` logs the last ones. `feed` raises BadMessage for a
     payload that does not match its topic, and leaves the view unchanged.
@@ -177,7 +178,9 @@ class Bridge:
         live: bool = False,
         images: ReadImage = read_image,
         painter: DyePainter | None = None,
+        colour: str = "auto",
     ) -> None:
+        self.colour = colour
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.play: layout.Play = "following" if live else "playing"
         self.frames = 0
@@ -274,8 +277,10 @@ class Bridge:
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for piece in pieces:
             path = layout.entity("world", "cloth", piece.name, *([str(version)] if version else []))
-            dyed = piece.name == self._dyed_object
-            cloth = Cloth(self.recording, path, piece, self.images, dyed, self.view.links)
+            dyed, links = piece.name == self._dyed_object and self.colour != "stretch", self.view.links
+            if self.colour != "auto":
+                piece, links = coloured(piece, self.colour), "yarn"
+            cloth = Cloth(self.recording, path, piece, self.images, dyed, links)
             self._cloths.append(cloth)
             if cloth.untextured:
                 text_of = f"the texture of {piece.name} cannot be read: {piece.texture}"

@@ -47,6 +47,7 @@ class RerunFile:
         images: ReadImage = read_image,
         painter: DyePainter | None = None,
         layout: str = APPLICATION,
+        colour: str = "auto",
     ) -> None:
         self.path = path
         self._recording = rr.RecordingStream(layout, recording_id=run, send_properties=False)
@@ -56,7 +57,7 @@ class RerunFile:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
         self._copy = _save(self._recording, self._file)
-        self.bridge = Bridge(self._recording, view, images=images, painter=painter)
+        self.bridge = Bridge(self._recording, view, images=images, painter=painter, colour=colour)
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Write one message. Raises BadMessage, RunFailed."""
@@ -131,8 +132,10 @@ class _Copy(threading.Thread):
         os.close(self._source)
 
 
-def convert(recording: Recording, path: Path) -> Path:
-    """Write every message of a finished recording to a rerun file. Raises BadInput for a damaged one."""
+def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
+    """Write every message of a finished recording to a rerun file, with all cloth painted by `colour`: cloth,
+    stretch, or auto, as the scene's view says. Raises BadInput for a damaged recording.
+    """
     run = recording.metadata.get("run", {}).get("id", recording.path.stem)
     try:
         view = View.model_validate(recording.scene.get("view", {}))
@@ -143,7 +146,7 @@ def convert(recording: Recording, path: Path) -> Path:
         if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
         layout = application(recording.scene)
-        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter, layout)
+        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter, layout, colour)
         try:
             for message in recording.messages():
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
