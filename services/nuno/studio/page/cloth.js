@@ -60,6 +60,7 @@ export class Cloth {
     this.said = make("p", { className: "said", id: "cloth-said", role: "status" });
     this.figures = make("span", { className: "figures", id: "cloth-figures" });
     this.back = button("back", "Back to start", "The cloth as the text has it", () => { this.live = ""; this.built = null; this.update(); });
+    this.draft = button("weave", "Weave", "Draw another weave for this cloth (key W)", () => this.weave());
     this.scale = make("div", { className: "scale", hidden: true }, make("span", { textContent: "stretch 0.1 %" }), make("i"), make("span", { textContent: "100 %" }));
     this.scale.querySelector("i").style.background = gradient;
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas, this.flat,
@@ -67,7 +68,7 @@ export class Cloth {
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
         button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
         this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "",
-        this.scene.large ? button("weave", "Weave", "Draw another weave for this cloth (key W)", () => this.weave()) : "", this.back,
+        this.scene.large ? this.draft : "", this.back,
         this.scene.large ? button("large", "Larger", "Hide text and form (key L)", () => this.scene.large()) : ""),
       this.draw.box, this.draw.labels, this.paint.box,
       make("div", { className: "below" }, this.said, this.scale, this.figures));
@@ -97,7 +98,7 @@ export class Cloth {
   update() {
     if (this.over.signal.aborted || !this.stage) return;
     this.back.hidden = !this.live || this.running;
-    if (this.scene.large) document.getElementById("cloth-weave").hidden = !this.woven;
+    this.draft.hidden = !this.woven;
     const text = this.scene.text?.value;
     if (this.running) this.ran = text;
     else if (this.ran !== text) this.live = "";
