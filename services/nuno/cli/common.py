@@ -93,17 +93,17 @@ def warn(recording: Recording) -> None:
 
 
 @contextlib.contextmanager
-def compilation_told() -> Iterator[None]:
+def compilation_notice() -> Iterator[None]:
     """Say on stderr, once, that pictures wait for the compiler, if they do."""
     from numba.core import event
 
     class Teller(event.Listener):  # type: ignore[misc]
-        told = False
+        noticed = False
 
         def on_start(self, event: Any) -> None:
-            if not self.told:
+            if not self.noticed:
                 print("compiling; the next picture of this kind finds it ready", file=sys.stderr, flush=True)
-            self.told = True
+            self.noticed = True
 
         def on_end(self, event: Any) -> None: ...
 

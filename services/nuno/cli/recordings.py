@@ -15,7 +15,7 @@ from typing import Any, get_args
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
-from nuno.cli.common import add_config, add_flags, add_set, compilation_told, warn
+from nuno.cli.common import add_config, add_flags, add_set, compilation_notice, warn
 from nuno.exports.camera import Side, view_doubts
 from nuno.formatting import data_size, many, plain
 from nuno.process import state_of
@@ -110,7 +110,7 @@ def export_command(args: argparse.Namespace) -> int:
         if request.scene is not None and (changes := describe_changes(control_events(recording))):
             print(f"warning: the scene lacks what was changed during its run: {'; '.join(changes)}", file=sys.stderr)
         drawn = request.png or request.gif or request.mp4
-        with compilation_told() if drawn else contextlib.nullcontext():
+        with compilation_notice() if drawn else contextlib.nullcontext():
             written = write(recording, request, progress_lines(args.progress))
         for path in written:
             print(path)

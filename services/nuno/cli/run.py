@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, compilation_told, load_scene
+from nuno.cli.common import add_budget, add_config, add_flags, add_scene, budget_of, compilation_notice, load_scene
 from nuno.process import attended, ending_at_once
 from nuno.python_api.plan import describe, keep_up, line_of
 from nuno.python_api.progress import ProgressLine
@@ -223,7 +223,7 @@ def execute(
 
         target = recording.with_suffix(".png")
         print("drawing the last frame", flush=True)
-        with compilation_told():
+        with compilation_notice():
             export_picture(recording, target)
         look = f"no screen here; on one with a screen: nuno replay {recording} --view"
         print(row("picture", f"{target}  ({look})"))
@@ -240,7 +240,7 @@ def execute(
         from nuno.python_api.export import progress_lines
 
         print("drawing the animation", flush=True)
-        with compilation_told():
+        with compilation_notice():
             export_animation(recording, mp4, progress=progress_lines())
         print(row("animation", mp4))
     return 0
