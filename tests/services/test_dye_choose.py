@@ -227,4 +227,5 @@ def test_a_plan_counts_them(rare: Path, tmp_path: Path, capsys: pytest.CaptureFi
     for record, file in ((RARE, rare), ({}, every)):
         assert main(["plan", str(write_scene(tmp_path, record=record))]) == 0
         line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("storage"))
-        assert float(line.split()[1]) * 1e6 == pytest.approx(file.stat().st_size, rel=0.1)
+        number, unit = line.split()[1:3]
+        assert float(number) * {"kB": 1e3, "MB": 1e6}[unit] == pytest.approx(file.stat().st_size, rel=0.1)

@@ -38,7 +38,8 @@ class ByHand:
 
     def start(self, name: str, *command: str) -> None:
         line = [*command[:2], str(self.folder / "scene.yaml"), "--run", "r1", "--connect", self.endpoint]
-        line += ["--record", str(self.folder / "r1.mcap"), *command[2:]]
+        record = [] if "--record" in command else ["--record", str(self.folder / "r1.mcap")]
+        line += [*record, *command[2:]]
 
         def body() -> None:
             self.codes[name] = main(line)
