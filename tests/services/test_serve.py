@@ -153,7 +153,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Recordings that a run draws its last frame and its animation of."""
     drawn = list[Path]()
     monkeypatch.setattr("nuno.exports.pictures.export_picture", lambda path, *_: drawn.append(path))
-    monkeypatch.setattr("nuno.exports.animations.export_animation", lambda path, target: drawn.append(path) or target)
+    monkeypatch.setattr("nuno.exports.animations.export_animation", lambda path, *_, **how: drawn.append(path))
     monkeypatch.setattr("nuno.viewer.live.has_screen", lambda: False)
     return drawn
 
