@@ -360,15 +360,18 @@ def test_slivers_of_flat_pieces_are_flipped_and_no_others() -> None:
         points, faces, _ = ribbon(6, True, jitter, True, 7)
         corners = np.column_stack([points, np.zeros(len(points))])[faces]
         piece = (corners[:, :, 0].mean(axis=1) > 16.0).astype(np.int32)
-        found, flipped = flip_slivers(corners, faces, piece)
+        sides = flip_slivers(corners, faces, piece[:, None])
+        found, flipped = sides.corners, sides.faces
         assert (jitter > 0.1) == bool((flipped != faces).any())
         assert np.array_equal(np.column_stack([points, np.zeros(len(points))])[flipped], found)
         for one in (0, 1):
             assert face_areas(found)[piece == one].sum() == pytest.approx(face_areas(corners)[piece == one].sum())
-        again, same = flip_slivers(found, flipped, piece)
-        assert np.array_equal(again, found) and np.array_equal(same, flipped)
+        assert np.array_equal(flip_slivers(found, flipped, piece[:, None]).faces, flipped)
     bent = np.column_stack([points, 0.2 * rng.uniform(size=len(points))])[faces]
-    assert np.array_equal(flip_slivers(bent, faces, piece)[1], faces)
+    assert np.array_equal(flip_slivers(bent, faces, piece[:, None]).faces, faces)
+    turned_over = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [2.0, 0.2, 0.0], [2.0, 0.1, 0.0]])
+    pair = np.array([[0, 1, 2], [1, 0, 3]], np.int32)
+    assert np.array_equal(flip_slivers(turned_over[pair], pair, np.zeros((2, 1))).faces, pair)
 
 
 @pytest.mark.full

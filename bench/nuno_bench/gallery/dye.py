@@ -535,7 +535,7 @@ FIGURES = (
            "end less than a quarter", ("fig12",), judge_waves,
            reading="Lines are kept up, though the paper does not say so: at 1.0 V they hold too little to dye the "
            "cloth. Waves take 95 % of the room, and bleed by 0.1 mm."),
-    Figure("13", "(No sentence: various weaves and parameters, none of which is printed.)",
+    Figure("13", "(No sentence: it shows various weaves and parameters, which the paper does not print.)",
            "the paper gives none; the scenes run, and keep their dye",
            ("fig13a", "fig13b", "fig13c"), judge_runs, reading="Weaves and parameters are ours."),
     Figure("14", "Left, yarns of simulation and photograph do not agree, and dye does not follow the yarns. Where they "

@@ -40,7 +40,7 @@ import numpy as np
 
 from nuno_cloth.fabrics.material import Materials
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.patches import find_patches, find_sides, flip_slivers
+from nuno_cloth.models.patches import find_patches, flip_slivers
 from nuno_cloth.models.ribbons import bend_ribbons
 from nuno_schemas.fabric import Bending, Bool, Float, Int
 
@@ -69,14 +69,13 @@ def build_bending(
     vertices faces (f, 3); `held` (n,) marks held vertices. None where no vertex can bend.
     """
     n, cloth = len(held), Materials.spread(material, len(faces))
-    piece = np.column_stack([cloth.fabric_index, np.round(warp, 6), np.round(weft, 6)])
-    corners, faces = flip_slivers(corners, faces, np.unique(piece, axis=0, return_inverse=True)[1])
+    sides = flip_slivers(corners, faces, np.column_stack([cloth.fabric_index, warp, weft]))
+    faces = sides.faces
     rigidity = np.array([plate(fabric) for fabric in cloth.fabrics])
     clamp = find_clamp(faces, held)
     loose = np.flatnonzero(~clamp.faces).astype(np.int32)
     if not rigidity.any() or n < 4 or not len(loose):
         return None
-    sides = find_sides(corners, faces)
     parts = []
     for narrow, vertices, matrix in bend_ribbons(sides, clamp.faces, warp, weft, rigidity[cloth.fabric_index]):
         loose = np.setdiff1d(loose, narrow)

@@ -90,37 +90,37 @@ def find_sides(corners: Float, faces: Int) -> Sides:
     return Sides(corners, faces, other, along, high, np.bincount(start, minlength=n).astype(np.int32), border, after)
 
 
-def flip_slivers(corners: Float, faces: Int, alike: Any) -> tuple[Float, Int]:
-    """Return corners (f, 3, 3) and vertices (f, 3) of the same flat pieces, where no side lies between angles that sum
-    to more than half a turn by WIDE: such sides are flipped to the other diagonal of their two triangles (Lawson 1977,
-    Mathematical Software III, 161-194). Only triangles that are `alike` (f,) and lie in one plane are joined.
+def flip_slivers(corners: Float, faces: Int, traits: Float) -> Sides:
+    """Return the sides of the same flat pieces, with triangles of which no side lies between angles that sum to more
+    than half a turn by WIDE: such sides are flipped to the other diagonal of their two triangles (Lawson 1977,
+    Mathematical Software III, 161-194), where these lie in one plane, side by side, and have the same traits (f, m).
     """
     corners, faces = corners.copy(), faces.copy()
+    points, number = corners.reshape(-1, 3), faces.reshape(-1)
     while True:
-        sides, points = find_sides(corners, faces), corners.reshape(-1, 3)
-        side = np.flatnonzero(sides.other > np.arange(len(sides.other)))
+        sides = find_sides(corners, faces)
+        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).reshape(-1)
+        angle = np.arctan2(length * sides.high, np.square(sides.high) - sides.along * (length - sides.along))
+        side = np.flatnonzero(sides.other > np.arange(len(number)))
+        side = side[angle[side] + angle[sides.other[side]] > np.pi + WIDE]
         other = sides.other[side]
         (start, end, apex), (end_too, start_too, beyond) = (
             [k - k % 3 + (k + step) % 3 for step in range(3)] for k in (side, other)
         )
-        length = np.linalg.norm(points[end] - points[start], axis=1)
-        angle = sum(
-            np.arctan2(length * high, high * high - along * (length - along))
-            for high, along in ((sides.high[k], sides.along[k]) for k in (side, other))
-        )
-        up = np.cross(points[end] - points[start], points[apex] - points[start])
-        off = np.einsum("sd,sd->s", up, points[beyond] - points[start])
-        one_piece = np.all(points[start] == points[start_too], axis=1) & np.all(points[end] == points[end_too], axis=1)
-        one_piece &= (np.abs(off) <= 1e-9 * length**3) & (alike[side // 3] == alike[other // 3])
-        flips = one_piece & (angle > np.pi + WIDE)
+        edge, far = points[end] - points[start], points[beyond] - points[start]
+        up = np.cross(edge, points[apex] - points[start])
+        flips = np.all(points[[*start, *end]] == points[[*start_too, *end_too]], axis=1).reshape(2, -1).all(axis=0)
+        flips &= np.abs((up * far).sum(axis=1)) <= 1e-9 * length[side] ** 3
+        flips &= (up * np.cross(edge, far)).sum(axis=1) <= 0.0
+        flips &= np.all(np.abs(traits[side // 3] - traits[other // 3]) < 1e-6, axis=1)
         # Of each triangle the side between the widest angles, if it is so for both.
-        widest = np.zeros(len(faces))
+        total, widest = np.where(flips, angle[side] + angle[other], 0.0), np.zeros(len(faces))
         for triangle in (side // 3, other // 3):
-            np.maximum.at(widest, triangle[flips], angle[flips])
-        flips &= (angle >= widest[side // 3]) & (angle >= widest[other // 3])
+            np.maximum.at(widest, triangle, total)
+        flips &= (total >= widest[side // 3]) & (total >= widest[other // 3])
         if not flips.any():
-            return corners, faces
-        for values in (points, faces.reshape(-1)):
+            return sides
+        for values in (points, number):
             values[end[flips]], values[start_too[flips]] = values[beyond[flips]], values[apex[flips]]
 
 

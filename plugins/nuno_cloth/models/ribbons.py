@@ -157,6 +157,7 @@ def _find_angles(sides: Sides, hinge: Int) -> tuple[Int, Float]:
 
 
 def _find_chain(sides: Sides, rigid: Bool, warp: Float, weft: Float, rigidity: Float) -> Chain:
+    """Return the triangles with all vertices on borders, whose neighbours are one or two, and what they bear."""
     inside = (sides.other >= 0).reshape(-1, 3)
     number = inside.sum(axis=1)
     found = np.all(sides.border[sides.faces], axis=1) & (number >= 1) & (number <= 2) & ~rigid
