@@ -67,7 +67,7 @@ COMMANDS = {
 It is imported only when its command is given, so that `nuno run` does not pay for the rest."""
 
 
-class _Once(argparse.Action):
+class _Once(argparse._StoreAction):
     """Stores the value of an option, which a second one does not replace."""
 
     seen: argparse.Namespace | None = None
@@ -75,11 +75,11 @@ class _Once(argparse.Action):
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
-        """Store a value. Raises ArgumentError for a second one."""
+        """Store a value, as argparse."""
         if option is not None and self.seen is namespace:
             raise argparse.ArgumentError(self, "takes one value, and is given more than once")
         self.seen = namespace
-        setattr(namespace, self.dest, values)
+        super().__call__(parser, namespace, values, option)
 
 
 class Parser(argparse.ArgumentParser):
