@@ -128,6 +128,8 @@ class Penetration(Described):
     """Least distance of an edge of cloth from a triangle of cloth without a common vertex [m], 0 for a crossing; None
     if larger than the thickness, or not checked.
     """
+    thickness: float | None = None
+    """Largest distance that is measured, that of the cloth contact [m]; None if not checked."""
 
 
 class BodyContact(Described):

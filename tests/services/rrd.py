@@ -9,6 +9,7 @@ from typing import Any
 from viewer_run import Fed
 
 from nuno.viewer.file import RerunFile
+from nuno.viewer.stream import Subject
 
 
 def columns(path: Path, name: str) -> dict[str, list[Any]]:
@@ -30,7 +31,7 @@ def write_all(file: RerunFile, fed: Iterable[Fed]) -> Path:
 
 
 def write(path: Path, fed: Iterable[Fed]) -> Path:
-    return write_all(RerunFile(path, "run"), fed)
+    return write_all(RerunFile(path, Subject(run="run")), fed)
 
 
 def read(path: Path, entity: str, column: str, static: bool = False) -> dict[int, Any]:
@@ -44,3 +45,15 @@ def read(path: Path, entity: str, column: str, static: bool = False) -> dict[int
             frames = [0] * len(batch) if static else batch["frame"].to_pylist()
             found |= {f: v for f, v in zip(frames, batch[column].to_pylist(), strict=True) if v is not None}
     return found
+
+
+def curves(path: Path, plot: str) -> dict[str, dict[int, float]]:
+    """Values of a plot's curves, "/plots/energy", by name and frame number."""
+    import rerun.chunk
+
+    chunks = rerun.chunk.RrdReader(path).stream().to_chunks()
+    names = {chunk.entity_path.removeprefix(f"{plot}/") for chunk in chunks if chunk.entity_path.startswith(f"{plot}/")}
+    return {
+        name.replace("\\", ""): {n: v[0] for n, v in read(path, f"{plot}/{name}", "Scalars:scalars").items()}
+        for name in names
+    }

@@ -218,7 +218,7 @@ def test_a_replay_from_between_begins_with_what_was_there(rare: Path, tmp_path: 
     for start, shown in ((0.0, 5), (8.0, 4)):
         target = tmp_path / f"{start:g}.rrd"
         assert main(["replay", str(rare), "--fast", "--start", str(start), "--save", str(target)]) == 0
-        assert len(read(target, "/dye/picture", "EncodedImage:blob")) == shown
+        assert len(read(target, "/picture", "EncodedImage:blob")) == shown
 
 
 def test_a_plan_counts_them(rare: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

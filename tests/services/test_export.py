@@ -512,22 +512,29 @@ def test_a_picture_shows_the_same_cloth(tmp_path: Path) -> None:
 def test_the_viewer_colours_and_shades_the_same_cloth() -> None:
     """Its positions are float32, 6 cm apart there; what the cloth looks like is not."""
     from nuno.viewer.cloth import Cloth
+    from nuno.viewer.fields import QUANTITIES, Scale
 
-    shown: list[Any] = []
+    shown: dict[str, Any] = {}
 
     class Kept:
-        def log(self, far_recording: str, what: Any, **_: object) -> None:
-            shown.append(what)
+        def log(self, path: str, what: Any, **_: object) -> None:
+            shown.update(
+                (str(batch.component_descriptor()), batch.as_arrow_array()) for batch in what.as_component_batches()
+            )
 
     near = Sheet()
     arrays = {"faces": near.faces, "edges": near.edges, "edge_rest": near.edge_rest}
     text = {"vertices": near.number, "objects": [{"name": "cloth", "start": 0, "stop": near.number}]}
     (piece,) = cut_pieces(arrays, text, by_stretch=True)
-    cloth, looks = Cloth(Kept(), "cloth", piece, lambda far_recording: None), []
+    scales = {name: Scale(quantity) for name, quantity in QUANTITIES.items()}
+    cloth, looks = Cloth(Kept(), "cloth", piece, lambda texture: None, scales), []
     for x in (near.x(0.1), near.x(0.1) + FAR):
         cloth.log(x)
-        parts = (shown[-1].vertex_normals, shown[-1].vertex_colors)
-        normals, colours = (np.array(part.as_arrow_array().to_pylist()) for part in parts)
+        parts = [
+            next(value for key, value in shown.items() if key.startswith(name))
+            for name in ("Mesh3D:vertex_normals", "stretch:colors")
+        ]
+        normals, colours = (np.array(part.to_pylist()) for part in parts)
         looks.append((normals, colours[:, None] >> np.array([24, 16, 8]) & 255))
     (normals, colours), (far_normals, far_colours) = looks
     assert np.abs(normals - far_normals).max() < 2e-6

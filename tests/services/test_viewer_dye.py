@@ -14,7 +14,7 @@ import pytest
 from dye_scene import arrays, write_scene
 from numpy.typing import NDArray
 from PIL import Image
-from rrd import read
+from rrd import curves, read
 
 import nuno
 from nuno.bus.encodings import decode_arrays
@@ -25,11 +25,12 @@ from nuno.viewer import dyed
 from nuno.viewer.bridge import Bridge
 from nuno.viewer.file import RerunFile
 from nuno.viewer.live import Ring
-from nuno.viewer.stream import read_painter, scene_of
+from nuno.viewer.stream import Subject, read_painter, scene_of
 from nuno_schemas.messages import CONCENTRATION, FRAMES, STATE
 
-PICTURE, COLUMN = "/dye/picture", "EncodedImage:blob"
+PICTURE, COLUMN = "/picture", "EncodedImage:blob"
 CURVES = "/plots/dye/blue"
+TOTAL = f"{CURVES}/total"
 NEAR = 6.0
 """How far JPEG may be off, on average [of 255]."""
 
@@ -52,7 +53,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def feed(folder: Path, target: Path, speed: float = 1.0, **picture: Any) -> Path:
     """A recording's messages, shown as a scene that differs in its picture would be."""
     scene = scene_file.read(write_scene(folder, picture=picture, speed=speed))
-    file = RerunFile(target, "run", painter=DyePainter(scene, most=dyed.MOST_PIXELS))
+    file = RerunFile(target, Subject(run="run"), painter=DyePainter(scene, most=dyed.MOST_PIXELS))
     with nuno.open(folder / "run.mcap") as recording:
         marks = recording.marks()
         for message in recording.messages():
@@ -81,8 +82,9 @@ def test_a_run_s_file_has_every_frame_s_picture(run: Path) -> None:
 
 def test_a_recording_becomes_the_same_file(run: Path) -> None:
     assert main(["export", str(run / "run.mcap"), "--rrd", str(run / "again.rrd")]) == 0
-    for entity, column in ((PICTURE, COLUMN), (CURVES, "Scalars:scalars")):
-        assert read(run / "again.rrd", entity, column) == read(run / "run.rrd", entity, column)
+    assert pictures(run / "again.rrd").keys() == pictures(run / "run.rrd").keys()
+    assert read(run / "again.rrd", PICTURE, COLUMN) == read(run / "run.rrd", PICTURE, COLUMN)
+    assert curves(run / "again.rrd", CURVES) == curves(run / "run.rrd", CURVES)
 
 
 def test_a_replay_is_saved_as_the_run_was(run: Path, tmp_path: Path) -> None:
@@ -92,16 +94,14 @@ def test_a_replay_is_saved_as_the_run_was(run: Path, tmp_path: Path) -> None:
 
 
 def test_curves_are_the_amounts_that_were_reported(run: Path) -> None:
-    curves = read(run / "run.rrd", CURVES, "Scalars:scalars")
-    names = read(run / "run.rrd", CURVES, "SeriesLines:names", static=True)[0]
-    assert names == ["supplied", "total", "mobile", "fixed"]
+    shown = curves(run / "run.rrd", CURVES)
     with nuno.open(run / "run.mcap") as recording:
         series = recording.series()
     for frame in range(11):
-        supplied, total, mobile, fixed = curves[frame]
-        assert [supplied, mobile, fixed] == [series[f"{name}_blue"][frame] for name in ("supplied", "mobile", "fixed")]
-        assert total == mobile + fixed
-    assert curves[10][3] > curves[1][3] > 0.0
+        for name in ("supplied", "mobile", "fixed"):
+            assert shown[name][frame] == series[f"{name}_blue"][frame]
+        assert shown["total"][frame] == shown["mobile"][frame] + shown["fixed"][frame]
+    assert shown["fixed"][10] > shown["fixed"][1] > 0.0
 
 
 def test_what_looks_as_before_is_not_logged_again(run: Path, tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_what_looks_as_before_is_not_logged_again(run: Path, tmp_path: Path) -> 
     path = nuno.run(tmp_path / "scene.yaml", record=tmp_path / "run.mcap").path
     assert main(["export", str(path), "--rrd", str(tmp_path / "run.rrd")]) == 0
     assert list(pictures(tmp_path / "run.rrd")) == [0]
-    assert len(read(tmp_path / "run.rrd", CURVES, "Scalars:scalars")) == 11
+    assert len(curves(tmp_path / "run.rrd", CURVES)["total"]) == 11
 
 
 def test_pictures_are_as_rare_as_the_scene_asks_and_the_last_is_there(run: Path, tmp_path: Path) -> None:
@@ -129,10 +129,10 @@ def test_the_time_of_a_cloth_by_itself_is_that_of_the_dyeing(run: Path, tmp_path
     for chunk in rerun.chunk.RrdReader(target).stream().to_chunks():
         batch = chunk.to_record_batch()
         assert "sim_time" not in batch.schema.names
-        if not chunk.is_static and chunk.entity_path in (PICTURE, CURVES):
+        if not chunk.is_static and chunk.entity_path in (PICTURE, TOTAL):
             times = zip(batch["frame"].to_pylist(), batch["dye_time"].to_pylist(), strict=True)
             seen.setdefault(chunk.entity_path, []).extend(t.total_seconds() / frame for frame, t in times if frame)
-    for entity in (PICTURE, CURVES):
+    for entity in (PICTURE, TOTAL):
         assert seen[entity] == pytest.approx([60.0 * 1.8] * 10, rel=1e-9)
 
 
@@ -173,7 +173,7 @@ def test_the_ring_gives_up_frames_of_dye_too() -> None:
 def test_damaged_amounts_are_refused_and_leave_the_picture(run: Path, tmp_path: Path) -> None:
     from nuno.bus.encodings import BadMessage, encode_arrays
 
-    file = RerunFile(tmp_path / "a.rrd", "run", painter=DyePainter(scene_file.read(run / "scene.yaml")))
+    file = RerunFile(tmp_path / "a.rrd", Subject(run="run"), painter=DyePainter(scene_file.read(run / "scene.yaml")))
     with nuno.open(run / "run.mcap") as recording:
         cloth, amounts = recording.last("dye/cloth"), recording.last(CONCENTRATION.name)
     assert cloth is not None and amounts is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -24,8 +25,8 @@ from nuno.bus.sessions import free_port, hub
 from nuno.runtime.service import Options, ack_topic, run_service
 from nuno.scene import scene_file
 from nuno.viewer.live import LiveView, Ring, keep_page
+from nuno.viewer.stream import SETTINGS, Subject
 from nuno_schemas.messages import STATE, STATUS, TOPICS, Topic
-from nuno_schemas.scene import View
 
 FRAMES = 40
 SOON = 60.0
@@ -34,9 +35,22 @@ SOON = 60.0
 
 @contextmanager
 def hung_viewer() -> Iterator[str]:
-    """The address of one that accepts connections and never says a word."""
+    """The address of one that begins each connection as HTTP/2 asks, and never says another word."""
+    kept: list[socket.socket] = []
+
+    def begin(server: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                kept.append(connection)
+                connection.sendall(bytes([0, 0, 0, SETTINGS, 0, 0, 0, 0, 0]))
+
     with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=begin, args=(server,), daemon=True).start()
         yield f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
+        server.shutdown(socket.SHUT_RDWR)
+    for connection in kept:
+        connection.close()
 
 
 def topic_of(name: str) -> Topic:
@@ -106,7 +120,7 @@ def test_an_absent_viewer_is_said_and_does_not_end_a_run(tmp_path: Path) -> None
 def test_a_killed_view_takes_nothing_along() -> None:
     said: list[str] = []
     with hung_viewer() as address:
-        live = LiveView(address, "run", View(), lambda kind, text: said.append(text))
+        live = LiveView(address, Subject(run="run"), lambda kind, text: said.append(text))
         fed = list(messages(FRAMES, 16, 12))
         for i, message in enumerate(fed):
             if i == len(fed) // 2:
@@ -122,7 +136,7 @@ def test_a_killed_view_takes_nothing_along() -> None:
 def test_a_view_ends_with_the_run_that_started_it() -> None:
     """The process between run and viewer ends when its input does, so that none is left behind."""
     with hung_viewer() as address:
-        live = LiveView(address, "run", View(), lambda kind, text: None)
+        live = LiveView(address, Subject(run="run"), lambda kind, text: None)
         assert live._process.stdin is not None
         live._process.stdin.close()
         assert live._process.wait(SOON) == 0
@@ -130,7 +144,7 @@ def test_a_view_ends_with_the_run_that_started_it() -> None:
 
 def test_the_web_view_shows_a_run_and_listens_on_loopback_only() -> None:
     opened = threading.Event()
-    live = LiveView("web", "run", View(), lambda kind, text: opened.set())
+    live = LiveView("web", Subject(run="run"), lambda kind, text: opened.set())
     try:
         assert opened.wait(SOON)
         assert not live.error
@@ -153,7 +167,7 @@ def test_the_web_view_shows_a_run_and_listens_on_loopback_only() -> None:
 @pytest.mark.parametrize("ends", ["killed", "in order", "terminated"])
 def test_the_viewer_stays_open_after_a_run_and_not_after_one_that_was_killed(ends: str) -> None:
     opened = threading.Event()
-    live = LiveView("web", "run", View(), lambda kind, text: opened.set())
+    live = LiveView("web", Subject(run="run"), lambda kind, text: opened.set())
     assert opened.wait(SOON) and live.pid is not None
     viewer = psutil.Process(live.pid)
     try:
@@ -186,3 +200,27 @@ def test_the_ring_gives_up_the_oldest_frames_and_nothing_else() -> None:
         kept.append(item)
     assert [frame for topic, frame, _, _ in kept if topic == STATE.name] == [5]
     assert [frame for topic, frame, _, _ in kept if topic == STATUS.name] == list(range(5))
+
+
+def test_a_viewer_that_is_open_is_used_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And is not ended with a run that is killed, nor by who did not open it."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # viewers are noted there
+    views: list[LiveView] = []
+    try:
+        for _ in range(2):
+            opened = threading.Event()
+            view = LiveView("web", Subject(run="run"), lambda kind, text, opened=opened: opened.set())
+            views.append(view)
+            assert opened.wait(SOON) and not view.error
+        first, second = views
+        assert first.pid is not None and second.pid is None
+        assert second.page == first.page
+        assert second._process.stdin is not None
+        second._process.stdin.close()
+        assert second._process.wait(SOON) == 0
+        assert psutil.Process(first.pid).is_running()
+        first.finish()
+    finally:
+        for view in views:
+            if view.pid is not None:
+                psutil.Process(view.pid).kill()

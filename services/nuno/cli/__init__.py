@@ -20,6 +20,7 @@ COMMANDS = {
     "run": ("nuno.cli.run", "simulate a scene, record it, show it, report on it"),
     "new": ("nuno.cli.run", "a commented scene to start from: skirt, poncho, trousers, dye and more"),
     "plan": ("nuno.cli.run", "what a scene will run, what is left out, cost and stable step"),
+    "view": ("nuno.cli.recordings", "look at a recording, or compare several in one view"),
     "replay": ("nuno.cli.recordings", "publish a recording again, and show it"),
     "verify": ("nuno.cli.recordings", "simulate a recording again and compare every frame to the last bit"),
     "info": ("nuno.cli.recordings", "what a recording holds"),

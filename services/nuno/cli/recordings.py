@@ -18,7 +18,7 @@ from nuno.bus.sessions import hub_at
 from nuno.cli.common import add_config, add_flags, add_set, compilation_notice, warn
 from nuno.exports.camera import Side, view_doubts
 from nuno.formatting import data_size, many, plain
-from nuno.process import state_of
+from nuno.process import scratch, state_of
 from nuno.python_api.export import FILES, ExportRequest, Painted, ask, progress_lines, write
 from nuno.python_api.progress import ProgressLine
 from nuno.recording.reader import (
@@ -38,7 +38,7 @@ from nuno.runtime import runs
 from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.recorded_scene import restored_scene
-from nuno.viewer.live import add_view, choose_view, keep_page
+from nuno.viewer.live import add_view, choose_view, has_screen, keep_page, require
 from nuno_schemas.dyeing import DyeView, Form
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FRAMES
@@ -239,6 +239,45 @@ def describe_difference(result: Verification) -> list[str]:
         lines.append("equal bits are promised for the same versions and processor only; the recording was made with")
         lines += [f"  {text}" for text in result.others]
     return lines
+
+
+# `nuno view`: whole recordings in rerun, one, or several in one view.
+
+
+def view_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="files, or last")
+    over = "several: lay them over each other, in a colour each (default: side by side)"
+    parser.add_argument("--over", action="store_true", help=over)
+    parser.add_argument("--colour", choices=("auto", "cloth", "stretch"), default="auto", help="what is seen first")
+    add_view(parser)
+
+
+def view_command(args: argparse.Namespace) -> int:
+    if args.over and len(args.recordings) < 2:
+        raise BadInput("one recording alone cannot be laid over another", field="--over", remedy="name two or more")
+    view = None if args.save else (args.view or ("window" if has_screen() else "web"))
+    require(view, args.save)
+    from nuno.viewer import file  # rerun takes as long to import as all of nuno
+    from nuno.viewer.comparison import compare, together
+
+    with contextlib.ExitStack() as stack:
+        recordings = [stack.enter_context(open_recording(runs.find_recording(path))) for path in args.recordings]
+        for recording in recordings:
+            warn(recording)
+        path = args.save or Path(stack.enter_context(scratch()), "view.rrd")
+        if len(recordings) == 1:
+            file.convert(recordings[0], path, args.colour)
+            subject = file.subject_of(recordings[0])
+        else:
+            compare(recordings, path, args.over, args.colour)
+            subject = together(recordings)
+        if view is None:
+            print(path)
+            return 0
+        opened = file.show_file(path, subject, view)
+    print(f"the viewer is at {opened.page}" if opened.page else "it is shown in the viewer", flush=True)
+    keep_page(view, {"pid": None if opened.reused else opened.pid})
+    return 0
 
 
 def replay_arguments(parser: argparse.ArgumentParser) -> None:

@@ -104,7 +104,13 @@ class ClothCheck:
             (self.names[a], self.names[b])
             for a, b in piece[np.stack([edges[:, 0], triangles[:, 0]], axis=1)[:MOST_PLACES]].tolist()
         ]
-        return {"crossings": len(crossed), "places": places, "objects": objects, "distance": distance}
+        return {
+            "crossings": len(crossed),
+            "places": places,
+            "objects": objects,
+            "distance": distance,
+            "thickness": self.thickness or None,
+        }
 
     def note(self, report: Penetration) -> None:
         """Add a frame's results to those of all frames."""

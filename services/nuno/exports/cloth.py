@@ -332,7 +332,7 @@ def read_pressure(recording: Recording) -> Pressures | None:
 # Colours of cloth and bodies in pictures and mesh files, and nets as tubes for renderers of triangles.
 
 STRETCH = (0.001, 1.0)
-"""Ends of the colour map for stretch, logarithmic as in the viewer: wool under its own weight
+"""Ends of the colour map for stretch, logarithmic: wool under its own weight
 stretches by a thousandth, the skirt paper's springs by half."""
 SIDES = 6
 THICKNESS = 0.004

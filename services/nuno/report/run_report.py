@@ -143,7 +143,10 @@ def _dye(report: Report) -> list[tuple[str, str]]:
     for name, supplied in dye["supplied"].items():
         mobile, fixed = (_cells(dye[kind][name]) for kind in ("mobile", "fixed"))
         rows.append(
-            ("" if name != first else "dye", f"{name}: {supplied:.6g} supplied, {mobile} mobile, {fixed} fixed")
+            (
+                "" if name != first else "dye",
+                f"{name}: {supplied:.6g} full cells supplied, {mobile} mobile, {fixed} fixed",
+            )
         )
         rows += [("", f"  {text}") for text in _supply_lines(dye, name)]
         if slower := dye["weisz_zollinger"].get(name):

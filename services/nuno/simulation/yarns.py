@@ -17,9 +17,6 @@ from nuno_schemas.plugin import Landmarked
 
 # Tension of links of yarns, for display.
 
-SPAN = 1000.0
-"""Ratio of the strongest to the weakest tension on the logarithmic colour scale."""
-
 
 def tension_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     """Return the arrays that the tension of the shown edges (e,) needs besides positions; empty for a fabric without
@@ -50,7 +47,7 @@ def tension_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
 class Tensions:
     """The knit paper's tension of links, T'_n = T_n + mu (T_(n-1) + T_(n+1)), from their stretch.
 
-    Arrays are those of `tension_arrays`, and rest (e,) float32 [m]; most [N] is the end of the colour scale.
+    Arrays are those of `tension_arrays`, and rest (e,) float32 [m].
     """
 
     rest: NDArray[np.float32]
@@ -59,14 +56,12 @@ class Tensions:
     beside: NDArray[np.int32]
     lock: NDArray[np.float32] | None
     k_lock: NDArray[np.float32] | None
-    most: float
 
     @staticmethod
     def read(arrays: Mapping[str, NDArray[Any]], mine: NDArray[np.bool_]) -> Tensions | None:
         """Read the links `mine` (e,) of a fabric message; None if it has no tension of them, as for sides of a
         membrane's triangles.
 
-        `most` is the tension of the stiffest link at twice its rest length, so that it does not change with time.
         Raises ValueError where arrays do not fit.
         """
         if "edge_k" not in arrays:
@@ -79,12 +74,10 @@ class Tensions:
             raise ValueError("a link beside another that is not there")
         if not arrays["edge_k"][mine].any():
             return None
-        stiffest = arrays.get("edge_k_lock", arrays["edge_k"])
-        most = float((stiffest * arrays["edge_rest"]).max(initial=0.0)) or 1.0
         # The last number is that of a missing neighbour, -1.
         numbers = np.append(np.where(mine, np.cumsum(mine) - 1, -1), -1).astype(np.int32)
         selected: Any = {name: None if values is None else values[mine] for name, values in values_by_name.items()}
-        return Tensions(**selected, beside=numbers[around[mine]], most=most)
+        return Tensions(**selected, beside=numbers[around[mine]])
 
     def __call__(self, stretch: NDArray[np.floating]) -> Float:
         """Return tensions (e,) [N] at elongations (e,), |d| / rest - 1."""

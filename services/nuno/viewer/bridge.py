@@ -5,24 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
-from nuno.exports.cloth import coloured, cut_pieces
+from nuno.exports.cloth import cut_pieces, read_indices
 from nuno.formatting import duration
-from nuno.simulation.yarns import SPAN
+from nuno.report.run_report import recorded_lines
 from nuno.viewer import layout
-from nuno.viewer.cloth import BodiesView, Cloth, ReadImage, read_image
+from nuno.viewer.cloth import BodiesView, Cloth, ReadImage, fields_of, read_image
 from nuno.viewer.dyed import DyedCloth
-from nuno.viewer.layout import BACKGROUND
-from nuno_schemas.colour import colours, to_srgb
+from nuno.viewer.fields import QUANTITIES, Scale
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
@@ -39,6 +37,7 @@ from nuno_schemas.messages import (
     REPORT,
     STATE,
     STATUS,
+    TOUCHES,
     Contact,
     Event,
     Penetration,
@@ -47,13 +46,7 @@ from nuno_schemas.messages import (
 from nuno_schemas.pictures import Picture
 from nuno_schemas.scene import View
 
-# Explanations for the user: a page, and the colour scale of tension.
-
-WIDTH, HEIGHT = 1200, 110
-"""Size of the colour scale's picture [pixels]."""
-SIDE, TOP, BOTTOM = 90, 12, 56
-"""Margin of the bar on both sides, its first row, and the row below it [pixels]."""
-FONT, INK = 30, (40, 44, 52)
+# Explanation for the user.
 
 
 def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> str:
@@ -62,56 +55,12 @@ def about(scene: str, vertices: int, faces: int, speed: float | None = None) -> 
     return f"""# {scene}
 {vertices:,} vertices, {faces:,} triangles.
 
-**Colour**: cloth has its texture, its colour, or one by its place in the scene. Links of nets, and all cloth of a scene
-with `view: {{colour: stretch}}`, show the stretch of the most stretched thread, on a logarithmic scale:
+**Tabs of the scene**: *Cloth* shows textures and colours, of nets the kinds of yarn; the others colour cloth by a
+value, on the linear scale below. Its end grows with the values of the run, but for the largest hundredth of each frame,
+which have the colour of the end. Grey is not a number.
 
-| colour | stretch |
-| --- | --- |
-| violet | 0.1 % and less |
-| blue | 1 % |
-| green | 10 % |
-| yellow | 100 % and more |
-| grey | not a number |
-
-Nets of yarns show the yarn that each link is of, or its tension, where the scene's view has `links: yarn` or
-`links: tension`.
+**Hidden at first** (the panel on the left shows them): points of contact with bodies and their forces, and pins.
 {dyed}"""
-
-
-def about_tension(most: list[float]) -> str:
-    """Return an explanation of tension's colours, as Markdown; `most` is the largest tension [N] of each net."""
-    if not most:
-        return ""
-    return f"""
-**Links of yarns**: their tension along the yarn, by the scale below the scene. Its end, {most[0]:.3g} N, is that of the
-stiffest link as long again as at rest.
-"""
-
-
-def tension_legend(most: float) -> NDArray[np.uint8]:
-    """Return the picture (HEIGHT, WIDTH, 3) sRGB of a logarithmic bar from the largest tension `most` [N] down to
-    `most` / SPAN, with a label at each decade.
-    """
-    from PIL import Image, ImageDraw, ImageFont
-
-    picture = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-    picture[:] = BACKGROUND
-    bar = colours(np.linspace(0.0, 1.0, WIDTH - 2 * SIDE), 0.0, 1.0)
-    picture[TOP:BOTTOM, SIDE:-SIDE] = np.round(255.0 * to_srgb(bar))
-    image = Image.fromarray(picture)
-    draw, font = ImageDraw.Draw(image), ImageFont.load_default(FONT)
-    unit, name = (1.0, "N") if most >= 1.0 else (1e-3, "mN")
-    for share, tension in ticks(most):
-        x = SIDE + round(share * (WIDTH - 2 * SIDE - 1))
-        draw.line((x, BOTTOM, x, BOTTOM + 10), INK, 3)
-        draw.text((x, BOTTOM + 14), f"{tension / unit:.3g} {name}", INK, font, anchor="mt")
-    return np.asarray(image)
-
-
-def ticks(most: float) -> list[tuple[float, float]]:
-    """Return (share of the bar's length, tension [N]) of each decade below the largest tension, ascending."""
-    count = round(math.log10(SPAN))
-    return [(i / count, most * SPAN ** (i / count - 1.0)) for i in range(count + 1)]
 
 
 # Crossings of cloth with cloth in rerun, and the least distance.
@@ -120,6 +69,9 @@ PASSES = [214, 39, 40]
 """Red, a colour of no fabric."""
 POINT = 5.0
 """Radius of a point on the screen, at any distance."""
+PIN, TOUCH = [192, 57, 43], [39, 110, 160]
+ARROW = 0.2
+"""Length of the longest arrow of a contact force [m]."""
 
 
 class CrossingsView:
@@ -127,20 +79,22 @@ class CrossingsView:
     distance of cloth from cloth as a curve, with a gap while it is more than the thickness.
     """
 
-    def __init__(self, recording: Any) -> None:
-        self.recording = recording
+    def __init__(self, recording: Any, paths: layout.Paths) -> None:
+        self.recording, self.paths = recording, paths
         self._shown: set[str] = set()
-        recording.log("/plots/distance", layout.names(["least distance"]), static=True, strict=True)
+        layout.log_names(recording, paths, "distance", ["least distance", "thickness"])
 
     def log(self, report: Penetration) -> None:
         """Log the report of the present frame."""
-        distance = math.nan if report.distance is None else 1000.0 * report.distance
-        self.recording.log("/plots/distance", rr.Scalars(distance), strict=True)
+        values = {"least distance": math.nan if report.distance is None else 1000.0 * report.distance}
+        if report.thickness:
+            values["thickness"] = 1000.0 * report.thickness
+        layout.log_values(self.recording, self.paths, "distance", values)
         crossings: dict[str, list[tuple[float, float, float]]] = {}
         labels: dict[str, str] = {}
         for place, pair in zip(report.places, report.objects, strict=True):
             one, other = sorted(pair)
-            path = layout.entity("world", "crossings", one, other)
+            path = self.paths.world("crossings", one, other)
             crossings.setdefault(path, []).append(place)
             labels[path] = f"{one} passes through {'itself' if one == other else other}"
         for path in self._shown - crossings.keys():
@@ -151,6 +105,22 @@ class CrossingsView:
             )
             self.recording.log(path, points, strict=True)
         self._shown = set(crossings)
+
+
+class TouchesView:
+    """Logs the points at which cloth touches bodies, and the force on the body at each as an arrow."""
+
+    def __init__(self, recording: Any, paths: layout.Paths) -> None:
+        self.recording, self.path = recording, paths.world("contact")
+        self._strongest = 0.0
+
+    def log(self, places: Float, forces: Float) -> None:
+        """Log touches at places (n, 3) [m] with forces (n, 3) [N]; the run's strongest so far is ARROW long."""
+        self._strongest = max(self._strongest, float(np.linalg.norm(forces, axis=1).max(initial=0.0)))
+        points = rr.Points3D(places, radii=rr.Radius.ui_points(0.5 * POINT), colors=[TOUCH])
+        self.recording.log(f"{self.path}/points", points, strict=True)
+        arrows = rr.Arrows3D(origins=places, vectors=forces * (ARROW / (self._strongest or 1.0)), colors=[TOUCH])
+        self.recording.log(f"{self.path}/forces", arrows, strict=True)
 
 
 BATCH = 32
@@ -165,7 +135,9 @@ class Bridge:
     live       the viewer follows the newest frame instead of playing from the start
     images     reads a texture by its path; returns None if it cannot
     painter    draws the scene's dyed cloth; None for a scene without dye
-    colour     how all cloth is painted, cloth or stretch; auto: as the view says
+    colour     what is seen first: cloth, or stretch; auto: as the view says
+    paths      entities of a run that is compared with others, which leaves the blueprint to the comparison
+    scales     colour scales of fields by name, which compared runs share
 
     Poses are logged in batches: `flush` logs the last ones. `feed` raises BadMessage for a
     payload that does not match its topic, and leaves the view unchanged.
@@ -179,31 +151,40 @@ class Bridge:
         images: ReadImage = read_image,
         painter: DyePainter | None = None,
         colour: str = "auto",
+        paths: layout.Paths | None = None,
+        scales: dict[str, Scale] | None = None,
     ) -> None:
-        self.colour = colour
+        self.colour, self.paths = colour, paths or layout.Paths()
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.play: layout.Play = "following" if live else "playing"
         self.frames = 0
-        self._cloths: list[Cloth] = []
+        self.scales = {name: Scale(quantity) for name, quantity in QUANTITIES.items()} if scales is None else scales
+        self.window = layout.Window()
+        self.cloths: list[Cloth] = []
+        self.positions: Float | None = None
+        """Those of the newest frame (n, 3) [m]."""
+        self.stage = np.zeros((0, 3))
+        """Points (n, 3) [m] that should be in view."""
         self._fabrics: dict[str, int] = {}
         self._vertices = -1
         self._pinned = np.zeros(0, bool)
         self._bodies: BodiesView | None = None
         self._crossings: CrossingsView | None = None
+        self._touches: TouchesView | None = None
         self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
-        self._dyed: DyedCloth | None = None
+        self.dyed: DyedCloth | None = None
         if painter is not None:
             wear = self._wear if painter.object is not None else None
-            self._dyed = DyedCloth(recording, painter, live, wear, self._arrange)
+            self.dyed = DyedCloth(recording, painter, live, wear, self._arrange, self.paths)
         self._energy: list[str] = []
+        self._counts: list[str] = []
+        self._raised: float | None = None
+        """Energy of gravity in the first frame [J]: it has no zero of its own."""
         self._latest = (0, 0.0)
         self._eye: layout.Eye | None = None
-        self._felt = False
-        """Whether contact forces on bodies are shown."""
         self._first: Float | None = None
         """Positions of the cloth's first frame, until the bodies have poses, too."""
-        self._pictured = False
         self._handlers: dict[str, Callable[[bytes], None]] = {
             FABRIC.name: self._fabric,
             STATE.name: self._state,
@@ -212,15 +193,16 @@ class Bridge:
             BODIES.name: self._poses,
             PENETRATION.name: self._penetration,
             CONTACT.name: self._contact,
+            TOUCHES.name: self._touch,
             PICTURE.name: self._picture,
             EVENT.name: self._event,
             REPORT.name: self._report,
         }
-        if self._dyed is not None:
+        if self.dyed is not None:
             self._handlers |= {
-                CLOTH.name: self._dyed.take_cloth,
+                CLOTH.name: self.dyed.take_cloth,
                 CONCENTRATION.name: self._amounts,
-                DYE_STATUS.name: self._dyed.take_status,
+                DYE_STATUS.name: self.dyed.take_status,
             }
         # Wall-clock timelines would make two conversions of one recording differ.
         recording.set_log_time_enabled(False)
@@ -239,8 +221,8 @@ class Bridge:
             raise BadMessage(f"frame {frame} at {t} s")
         if frame >= 0:
             self._latest = (frame, t)
-        if self._dyed is not None:
-            self._dyed.set_time(*self._latest)
+        if self.dyed is not None:
+            self.dyed.set_time(*self._latest)
         else:
             layout.set_time(self.recording, *self._latest)
         try:
@@ -252,99 +234,131 @@ class Bridge:
         """Log the last batch of poses, and the last picture; call it at the end."""
         if self._bodies is not None:
             self._bodies.flush()
-        if self._dyed is not None:
-            self._dyed.flush()
+        if self.dyed is not None:
+            self.dyed.flush()
 
     def loop(self) -> None:
         """Have the viewer play all frames again and again."""
         self.play = "looping"
         self._arrange()
-        if self._dyed is not None and self._dyed.names:
-            self._dyed.arrange_window(self.play)
+        if self.dyed is not None and self.dyed.names:
+            self.dyed.arrange_window(self.play)
+
+    def offer(self, cloth: Cloth, field: str) -> None:
+        """Let a field of this cloth be chosen in the viewer."""
+        first = field not in self.window.fields
+        path, visualizer = cloth.coloured_by(field)
+        self.window.fields.setdefault(field, {})[path] = visualizer
+        if first:
+            self._log(layout.legend(field), rr.Image(self.scales[field].legend()))
 
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
         self.recording.log(path, *what, static=static, strict=True)
 
     def _fabric(self, payload: bytes) -> None:
         arrays, text = decode_arrays(payload)
-        pieces, number = cut_pieces(arrays, text, self.view.colour == "stretch"), int(text["vertices"])
+        pieces, number = cut_pieces(arrays, text), int(text["vertices"])
         self._vertices = number
         self._pinned = arrays["pinned"].astype(bool)
-        for cloth in self._cloths:
+        for cloth in self.cloths:
             cloth.clear()
-        self._cloths = []
+        self.cloths = []
         # Static data hide all later data of their entity: changed cloth has an entity of its own.
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for piece in pieces:
-            path = layout.entity("world", "cloth", piece.name, *([str(version)] if version else []))
-            dyed, links = piece.name == self._dyed_object and self.colour != "stretch", self.view.links
-            if self.colour != "auto":
-                piece, links = coloured(piece, self.colour), "yarn"
-            cloth = Cloth(self.recording, path, piece, self.images, dyed, links)
-            self._cloths.append(cloth)
+            path = self.paths.world("cloth", piece.name, *([str(version)] if version else []))
+            cloth = Cloth(self.recording, path, piece, self.images, self.scales, piece.name == self._dyed_object)
+            self.cloths.append(cloth)
             if cloth.untextured:
                 text_of = f"the texture of {piece.name} cannot be read: {piece.texture}"
-                self._log("/log", rr.TextLog(text_of, level="WARN"))
-        if self._dyed is not None and self._dyed.shown is not None:
-            self._wear(self._dyed.shown)
-        tensions = [cloth.tensions.most for cloth in self._cloths if cloth.tensions]
-        if tensions:
-            self._log(layout.LEGEND, rr.Image(tension_legend(tensions[0])), static=True)
-        self._log(
-            "/about",
-            rr.TextDocument(
-                about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed) + about_tension(tensions),
-                media_type="text/markdown",
-            ),
-            static=True,
-        )
+                self._log(self.paths.page("log"), rr.TextLog(text_of, level="WARN"))
+            for name in fields_of(piece):
+                self.offer(cloth, name)
+        self.window.active = self._first_field()
+        if self.dyed is not None and self.dyed.shown is not None:
+            self._wear(self.dyed.shown)
+        page = about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed)
+        self._log(self.paths.page("about"), rr.TextDocument(page, media_type="text/markdown"), static=True)
+        self._arrange()
+
+    def _first_field(self) -> str:
+        """Return the field that is seen first, "" for the cloth's own look."""
+        if self.colour != "auto":
+            return self.colour if self.colour in self.window.fields else ""
+        if any(cloth.meshed for cloth in self.cloths):
+            return "stretch" if self.view.colour == "stretch" else ""
+        return self.view.links if self.view.links in self.window.fields else ""
 
     def _state(self, payload: bytes) -> None:
         positions = decode_points(payload)
         if len(positions) != self._vertices:
             raise BadMessage(f"{len(positions)} points for a fabric of {self._vertices} vertices")
+        self.positions = positions
         if self._eye is None:
             self._aim(positions)
             self._first = positions
-        for cloth in self._cloths:
+        for cloth in self.cloths:
             cloth.log(positions)
+        if self._pinned.any():
+            pins = rr.Points3D(positions[self._pinned], radii=rr.Radius.ui_points(0.5 * POINT), colors=[PIN])
+            self._log(self.paths.world("pins"), pins)
         self.frames += 1
 
     def _aim(self, positions: Float) -> None:
         """Arrange the window around the first frame."""
         bodies = np.zeros((0, 3)) if self._bodies is None else self._bodies.points()
-        self._eye = layout.fit_eye(layout.stage(positions, self._pinned, bodies), self.view)
+        self.stage = layout.stage(positions, self._pinned, bodies)
+        self._eye = layout.fit_eye(self.stage, self.view)
         self._arrange()
 
     def _arrange(self) -> None:
-        if self._eye is not None:
-            dyes = self._dyed.names if self._dyed is not None else []
-            legend = any(cloth.tensions for cloth in self._cloths)
-            bodies, meets = self._bodies is not None, self._crossings is not None
-            ground = self._bodies is not None and self._bodies.ground
-            shown = self._pictured, legend, meets, ground, self._felt
-            blueprint = layout.arrange(self._eye, bodies, self.play, dyes, *shown)
-            self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
+        """Send the present blueprint; compared runs have one in common, which is sent at their end."""
+        if self._eye is None or self.paths.run:
+            return
+        self.window.dyes = self.dyed.names if self.dyed is not None else []
+        self.recording.send_blueprint(layout.arrange(self._eye, self.window, self.play), make_active=True,
+                                      make_default=True)  # fmt: skip
 
     def _status(self, payload: bytes) -> None:
         status = Status.model_validate_json(payload)
         energy = list(status.energy)
         if energy != self._energy:
             self._energy = energy
-            self._log("/plots/energy", layout.names([*energy, "total"]), static=True)
-            self._log("/plots/stretch", layout.names(["largest stretch"]), static=True)
-            self._log("/plots/time", layout.names(["computing the frame"]), static=True)
-        values = [layout.number(value) for value in status.energy.values()]
-        self._log("/plots/energy", rr.Scalars([*values, sum(values)]))
-        self._log("/plots/stretch", rr.Scalars(100.0 * layout.number(status.stretch)))
-        self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
-        if status.message:
-            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+            self._name("energy", [*energy, "total"])
+            self._name("stretch", ["largest stretch"])
+            self._name("time", ["computing the frame"])
+        values = {name: layout.number(value) for name, value in status.energy.items()}
+        if "gravitational" in values:
+            if self._raised is None:
+                self._raised = values["gravitational"]
+            values["gravitational"] -= self._raised
+        self._plot("energy", values | {"total": sum(values.values())})
+        self._plot("stretch", {"largest stretch": 100.0 * layout.number(status.stretch)})
+        self._plot("time", {"computing the frame": 1000.0 * status.step_seconds})
+        if status.counts and list(status.counts) != self._counts:
+            self._counts = list(status.counts)
+            self._name("counts", self._counts)
+            self.window.counted = True
+            self._arrange()
+        self._plot("counts", status.counts)
+        self._log_message(status.message, status.state)
+
+    def _log_message(self, message: str, state: str) -> None:
+        if message:
+            level = "INFO" if state == "running" else "WARN"
+            self._log(self.paths.page("log"), rr.TextLog(message, level=level))
+
+    def _name(self, plot: str, curves: list[str]) -> None:
+        layout.log_names(self.recording, self.paths, plot, curves)
+
+    def _plot(self, plot: str, values: Mapping[str, float]) -> None:
+        layout.log_values(self.recording, self.paths, plot, values)
 
     def _geometry(self, payload: bytes) -> None:
         self.flush()
-        self._bodies = BodiesView(self.recording, decode_geometry(payload), 1 if self.live else BATCH)
-        self._log("/plots/penetration", layout.names(["deepest", "mean of those inside"]), static=True)
+        self._bodies = BodiesView(self.recording, decode_geometry(payload), 1 if self.live else BATCH, self.paths)
+        self._name("penetration", ["deepest", "mean of those inside"])
+        self.window.bodies, self.window.ground = True, self._bodies.ground
         self._arrange()
 
     def _poses(self, payload: bytes) -> None:
@@ -358,46 +372,67 @@ class Bridge:
 
     def _penetration(self, payload: bytes) -> None:
         report = Penetration.model_validate_json(payload)
-        self._log("/plots/penetration", rr.Scalars([1000.0 * report.depth, 1000.0 * report.mean]))
+        self._plot("penetration", {"deepest": 1000.0 * report.depth, "mean of those inside": 1000.0 * report.mean})
         if report.crossings is not None:
             if self._crossings is None:
-                self._crossings = CrossingsView(self.recording)
+                self._crossings = CrossingsView(self.recording, self.paths)
+                self.window.meets = True
                 self._arrange()
             self._crossings.log(report)
 
     def _contact(self, payload: bytes) -> None:
         felt = Contact.model_validate_json(payload).bodies
-        if not self._felt:
-            self._felt = True
-            self._log("/plots/contact", layout.names([one.body for one in felt]), static=True)
+        if not self.window.felt:
+            self.window.felt = True
+            self._name("contact", [one.body for one in felt])
             self._arrange()
-        self._log("/plots/contact", rr.Scalars([math.hypot(*one.force) for one in felt]))
+        self._plot("contact", {one.body: math.hypot(*one.force) for one in felt})
+
+    def _touch(self, payload: bytes) -> None:
+        """Show touches of the newest frame, where its positions have come before."""
+        arrays, _ = decode_arrays(payload)
+        vertex = read_indices("vertex", np.asarray(arrays["vertex"]).reshape(-1, 1), 1, self._vertices)[:, 0]
+        if self.positions is None:
+            return
+        pressure = np.zeros(self._vertices)
+        np.maximum.at(pressure, vertex, np.nan_to_num(np.asarray(arrays["pressure"], np.float64)))
+        meshed = [cloth for cloth in self.cloths if cloth.meshed]
+        if self._touches is None:
+            self._touches = TouchesView(self.recording, self.paths)
+            for cloth in meshed:
+                self.offer(cloth, "pressure")
+            self._arrange()
+        self._touches.log(self.positions[vertex], np.asarray(arrays["force"], np.float64).reshape(-1, 3))
+        for cloth in meshed:
+            cloth.log_field("pressure", pressure[cloth.piece.start : cloth.piece.stop])
 
     def _amounts(self, payload: bytes) -> None:
-        assert self._dyed is not None
-        self._dyed.take_amounts(*self._latest, payload)
+        assert self.dyed is not None
+        self.dyed.take_amounts(*self._latest, payload)
         self.frames += self._dyed_object is None
 
     def _wear(self, picture: Picture) -> None:
         """Give the dyed object its texture."""
-        for cloth in self._cloths:
+        for cloth in self.cloths:
             if cloth.dyed:
                 cloth.log_texture(picture)
 
     def _picture(self, payload: bytes) -> None:
         self._log(layout.YARNS, rr.EncodedImage(contents=decode_picture(payload), media_type="image/png"))
-        if not self._pictured:
-            self._pictured = True
+        if not self.window.pictures:
+            self.window.pictures = True
             self._arrange()
 
     def _event(self, payload: bytes) -> None:
         event = Event.model_validate_json(payload)
-        if self._dyed is not None:
+        if self.dyed is not None:
             # A paused run sends no more frames: the waiting one is the present one.
-            self._dyed.flush()
+            self.dyed.flush()
         level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
-        self._log("/log", rr.TextLog(f"{event.service}: {event.message}", level=level))
+        self._log(self.paths.page("log"), rr.TextLog(f"{event.service}: {event.message}", level=level))
 
     def _report(self, payload: bytes) -> None:
-        text = json.dumps(json.loads(payload), indent=2)
-        self._log("/report", rr.TextDocument(f"```json\n{text}\n```", media_type="text/markdown"), static=True)
+        rows = recorded_lines(json.loads(payload))
+        text = "\n".join(f"| {name} | {line.replace('|', '/')} |" for name, line in rows)
+        page = rr.TextDocument(f"| | |\n| --- | --- |\n{text}\n", media_type="text/markdown")
+        self._log(self.paths.page("report"), page, static=True)

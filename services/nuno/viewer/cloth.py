@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
+from rerun.blueprint.encodings import ComponentSourceKind as Source
+from rerun.blueprint.encodings import VisualizerComponentMapping as Mapped
 
 from nuno.bus.encodings import BadMessage, origin_of
 from nuno.collision.bodies import NO_SURFACES, Surfaces, surface, vertex_normals
-from nuno.exports.cloth import BODY, PLAIN, STRETCH, ShownPiece, paint_yarns
-from nuno.simulation.yarns import SPAN
+from nuno.exports.cloth import BODY, PLAIN, ShownPiece, paint_yarns
 from nuno.viewer import layout
+from nuno.viewer.fields import Scale, mean_curvature, pack
 from nuno_schemas.bodies import PLANE, SKIN, Geometry, Poses
-from nuno_schemas.colour import MISSING, colours, parse_hex, read_rgb, to_srgb
+from nuno_schemas.colour import parse_hex, read_rgb
 from nuno_schemas.fabric import Float
 
 SPRING_WIDTH, MASS_SIZE = -2.0, -4.5
 """Radii; negative ones are in pixels on the screen."""
 CROSSING_SIZE = -2.5
-"""Radius of masses in nets that show tension: larger ones hide the links of a dense knit."""
+"""Radius of masses in nets of yarns: larger ones hide the links of a dense knit."""
+MESH, LINKS = "Mesh3D", "LineStrips3D"
+WHITE = 0xFFFFFFFF
+TEXTURE = ("albedo_texture_buffer", "albedo_texture_format")
 
 ReadImage = Callable[[str], NDArray[np.uint8] | None]
 
@@ -36,22 +40,12 @@ def read_image(path: str) -> NDArray[np.uint8] | None:
         return None
 
 
-def pack(linear: NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Convert linear light (n, 3) to opaque sRGB as 0xRRGGBBAA, shape (n,)."""
-    byte = np.round(255.0 * to_srgb(linear)).astype(np.uint32).reshape(-1, 3)
-    return np.asarray(byte[:, 0] << 24 | byte[:, 1] << 16 | byte[:, 2] << 8 | 255, np.uint32)
-
-
-TABLE = pack(colours(np.linspace(0.0, 1.0, 256), 0.0, 1.0))
-GREY = int(pack(parse_hex(MISSING))[0])
-
-
 class Cloth:
-    """Logs one object of a scene below `path`.
+    """Logs one object of a scene below `path`: its own look, and beside it colours by fields, which views choose.
 
     recording  the rerun stream
+    scales     colour scales of fields, by name; they grow with the values
     dyed       whether its texture changes with the frames
-    links      colour of a net's links: stretch, yarn (their kinds, as in pictures), or tension
     """
 
     def __init__(
@@ -60,34 +54,40 @@ class Cloth:
         path: str,
         piece: ShownPiece,
         images: ReadImage,
+        scales: Mapping[str, Scale],
         dyed: bool = False,
-        links: str = "stretch",
     ) -> None:
-        self.recording, self.path, self.piece = recording, path, piece
+        self.recording, self.path, self.piece, self.scales = recording, path, piece, scales
         self.dyed = dyed and piece.laid_out is not None
         named = piece.texture if not self.dyed else None
         image = images(named) if named and piece.laid_out is not None else None
         self.split = piece.laid_out if image is not None or self.dyed else None
         self.untextured = bool(named) and image is None
-        self.coloured = image is None and not self.dyed and not piece.colour and len(piece.edges) > 0
-        self.yarns = None
-        self.tensions = piece.tensions if links == "tension" and not len(piece.faces) else None
-        if self.tensions is not None:
-            self.coloured = True
-        elif links == "yarn" and piece.yarns is not None and not len(piece.faces) and not piece.colour:
-            self.yarns = pack(paint_yarns(piece.yarns))
-            self.coloured = False
+        self.meshed = len(piece.faces) > 0
         self._log_static(piece, image)
+
+    def coloured_by(self, field: str) -> tuple[str, Any]:
+        """Return the path of what a view colours by a field, and how: colours of the field in the place of its own, and
+        for a mesh without its texture and its colour.
+        """
+        what = MESH if self.meshed else LINKS
+        target = f"{what}:vertex_colors" if self.meshed else f"{what}:colors"
+        mappings = [Mapped(target, Source.SourceComponent, source_component=f"{field}:colors")]
+        if not self.meshed:
+            return f"{self.path}/springs", rr.LineStrips3D.from_fields().visualizer(mappings=mappings)
+        mappings += [Mapped(f"{what}:{name}", Source.Default) for name in TEXTURE]
+        mappings.append(Mapped(f"{what}:albedo_factor", Source.Override))
+        return self.path, rr.Mesh3D.from_fields(albedo_factor=WHITE).visualizer(mappings=mappings)
 
     def _log_static(self, piece: ShownPiece, image: NDArray[np.uint8] | None) -> None:
         colour = pack(parse_hex(piece.colour or PLAIN))
-        if not len(piece.faces):
+        if not self.meshed:
             points = np.where(piece.pinned, pack(parse_hex("#c0392b")), pack(parse_hex("#34495e")))
-            size = MASS_SIZE if self.tensions is None else CROSSING_SIZE
+            size = MASS_SIZE if piece.yarns is None else CROSSING_SIZE
             self._log("masses", rr.Points3D.from_fields(colors=points.astype(np.uint32), radii=size), static=True)
-            once = colour if self.yarns is None else self.yarns
-            springs = rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=None if self.coloured else once)
-            self._log("springs", springs, static=True)
+            if piece.yarns is not None and not piece.colour:
+                colour = pack(paint_yarns(piece.yarns))
+            self._log("springs", rr.LineStrips3D.from_fields(radii=SPRING_WIDTH, colors=colour), static=True)
             return
         faces = piece.faces if self.split is None else self.split.faces
         self._log("", rr.Mesh3D.from_fields(triangle_indices=faces.astype(np.uint32)), static=True)
@@ -99,12 +99,12 @@ class Cloth:
             self._log("", rr.Mesh3D.from_fields(vertex_texcoords=uv), static=True)
         if image is not None:
             self._log("", texture_of(image), static=True)
-        elif not self.coloured and not self.dyed:
+        elif not self.dyed:
             self._log("", rr.Mesh3D.from_fields(albedo_factor=int(colour[0])), static=True)
 
     def clear(self) -> None:
         """Hide the cloth from now on, since other cloth replaces it."""
-        for below in ("",) if len(self.piece.faces) else ("masses", "springs"):
+        for below in ("",) if self.meshed else ("masses", "springs"):
             self._log(below, rr.Clear(recursive=False))
 
     def log_texture(self, image: NDArray[np.uint8]) -> None:
@@ -114,42 +114,58 @@ class Cloth:
     def log(self, positions: NDArray[np.float64]) -> None:
         """Log one frame, positions (n, 3) [m] of all objects.
 
-        rerun's positions are float32 about the world's origin; normals and stretch use an origin near the cloth.
+        rerun's positions are float32 about the world's origin; normals and fields use an origin near the cloth.
         """
         piece = self.piece
         part = positions[piece.start : piece.stop]
         x, near = np.ascontiguousarray(part, np.float32), part - origin_of(part)
-        if len(piece.faces):
-            normals = vertex_normals(near, piece.faces).astype(np.float32)
+        if self.meshed:
+            unit: Float | None = vertex_normals(near, piece.faces)
+            normals = np.asarray(unit).astype(np.float32)
             if self.split is not None:  # normals of whole vertices, so that seams are shaded smoothly
                 x, normals = x[self.split.vertex], normals[self.split.vertex]
-            mesh = rr.Mesh3D.from_fields(
-                vertex_positions=x,
-                vertex_normals=normals,
-                vertex_colors=paint(piece.stretch(near)) if self.coloured else None,
-            )
-            self._log("", mesh)
-            return
-        self._log("masses", rr.Points3D.from_fields(positions=x))
-        colors = self._link_colours(near) if self.coloured else None
-        self._log("springs", rr.LineStrips3D.from_fields(strips=segments(x, piece.edges), colors=colors))
+            self._log("", rr.Mesh3D.from_fields(vertex_positions=x, vertex_normals=normals))
+        else:
+            unit = None
+            self._log("masses", rr.Points3D.from_fields(positions=x))
+            self._log("springs", rr.LineStrips3D.from_fields(strips=segments(x, piece.edges)))
+        for name, values in field_values(piece, near, normals=unit):
+            self.log_field(name, values)
 
-    def _link_colours(self, near: Float) -> NDArray[np.uint32]:
-        stretch = self.piece.link_stretch(near)
-        if self.tensions is None:
-            return paint(stretch)
-        return paint(self.tensions(stretch) / self.tensions.most, (1.0 / SPAN, 1.0))
+    def log_field(self, name: str, values: Float) -> None:
+        """Log the colours of a field's values [SI] at vertices, of a net at its links, as component NAME:colors."""
+        scale = self.scales[name]
+        if scale.widen(values):
+            self.recording.log(layout.legend(name), rr.Image(scale.legend()), strict=True)
+        if self.split is not None:
+            values = values[self.split.vertex]
+        colours = rr.components.ColorBatch(scale.paint(values))
+        self._log("" if self.meshed else "springs", rr.DynamicArchetype(name, components={"colors": colours}))
 
     def _log(self, below: str, what: Any, static: bool = False) -> None:
         self.recording.log(f"{self.path}/{below}" if below else self.path, what, static=static, strict=True)
 
 
-def paint(values: Float, ends: tuple[float, float] = STRETCH) -> NDArray[np.uint32]:
-    """Return packed colours (n,) of values (n,), from TABLE on a logarithmic scale between the ends."""
-    low, high = (math.log10(end) for end in ends)
-    share = (np.log10(np.clip(values, *ends)) - low) / (high - low)
-    share = np.where(np.isnan(values), 0.0, share)
-    return np.where(np.isnan(values), np.uint32(GREY), TABLE[np.round(255.0 * share).astype(int)])
+def fields_of(piece: ShownPiece) -> list[str]:
+    """Return the names of the fields of a piece that follow from positions."""
+    kinds = {"stretch": len(piece.edges) > 0, "curvature": len(piece.faces) > 0}
+    kinds["tension"] = not len(piece.faces) and piece.tensions is not None
+    return [name for name, there in kinds.items() if there]
+
+
+def field_values(piece: ShownPiece, x: Float, normals: Float | None = None) -> Iterator[tuple[str, Float]]:
+    """Yield each of `fields_of` with its values [SI] at vertices x (n, 3) [m], of a net at its links; `normals` of the
+    vertices (n, 3) if they are known.
+    """
+    for name in fields_of(piece):
+        if name == "curvature":
+            unit = vertex_normals(x, piece.faces) if normals is None else normals
+            yield name, mean_curvature(x, piece.faces, unit)
+        elif len(piece.faces):
+            yield name, piece.stretch(x)
+        else:
+            stretch = piece.link_stretch(x)
+            yield name, stretch if name == "stretch" or piece.tensions is None else piece.tensions(stretch)
 
 
 def texture_of(image: NDArray[np.uint8]) -> Any:
@@ -185,18 +201,19 @@ class BodiesView:
     geometry   shapes of the bodies
     batch      number of poses that are logged together: rerun takes 0.1 ms for a call, and
                a skeleton has dozens of frames
+    paths      where its entities are
 
     Raises BadMessage for an inconsistent geometry.
     """
 
-    def __init__(self, recording: Any, geometry: Geometry, batch: int) -> None:
+    def __init__(self, recording: Any, geometry: Geometry, batch: int, paths: layout.Paths) -> None:
         number = len(geometry.frames)
         if len(geometry.frame) and not (geometry.frame.min() >= 0 and geometry.frame.max() < number):
             raise BadMessage(f"a primitive of a frame that is not among the {number}")
         self.recording, self.batch = recording, batch
-        self.paths = [layout.entity("world", "bodies", *name.split("/", 1)) for name in geometry.frames]
+        self.paths = [paths.world("bodies", *name.split("/", 1)) for name in geometry.frames]
         rigid = geometry.of_primitives(np.flatnonzero(geometry.kind != SKIN).tolist())
-        self.skins = [SkinView(recording, geometry, i) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
+        self.skins = [SkinView(recording, geometry, i, paths) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
         shown = surface(rigid)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
@@ -264,12 +281,13 @@ class SkinView:
 
     recording  the rerun stream
     geometry   shapes of the bodies, with the skin `primitive`
+    paths      where its entity is
     """
 
-    def __init__(self, recording: Any, geometry: Geometry, primitive: int) -> None:
+    def __init__(self, recording: Any, geometry: Geometry, primitive: int, paths: layout.Paths) -> None:
         self.recording, self.geometry, self.primitive = recording, geometry, primitive
         self.faces = geometry.mesh(primitive)[1]
-        self.path = layout.entity("world", "bodies", geometry.bodies[geometry.body[primitive]], "skin")
+        self.path = paths.world("bodies", geometry.bodies[geometry.body[primitive]], "skin")
         mesh = rr.Mesh3D.from_fields(
             triangle_indices=self.faces.astype(np.uint32), albedo_factor=int(pack(parse_hex(BODY))[0])
         )

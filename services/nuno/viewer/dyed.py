@@ -15,6 +15,7 @@ from nuno.bus.encodings import decode_arrays
 from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
+from nuno.viewer.fields import round_up
 from nuno_schemas.messages import DyeStatus
 from nuno_schemas.pictures import Picture
 
@@ -27,8 +28,9 @@ LIVE_SECONDS = 0.1
 """Least time between two pictures of a live view [s]: drawing must not fall behind a fast run."""
 QUALITY = 92
 """Quality of JPEG. Pictures of yarns have detail everywhere: PNG takes four times as much space."""
-AMOUNTS, WIDTHS = ["supplied", "total", "mobile", "fixed"], [5.0, 2.0, 2.0, 2.0]
+AMOUNTS, WIDTHS = ("supplied", "total", "mobile", "fixed"), (5.0, 2.0, 2.0, 2.0)
 """Curves of each dye. Supplied is the widest, and first: total lies on it."""
+TIME = "computing the frame"
 
 
 class DyedCloth:
@@ -40,6 +42,7 @@ class DyedCloth:
     wear       logs a picture as the texture of the dyed object in the 3-D scene; None for dye alone, which has only
                the picture
     arrange    rearranges the window of the 3-D scene
+    paths      where its entities are
     """
 
     def __init__(
@@ -49,8 +52,9 @@ class DyedCloth:
         live: bool,
         wear: Callable[[Picture], None] | None,
         arrange: Callable[[], None],
+        paths: layout.Paths,
     ) -> None:
-        self.recording, self.painter, self.live = recording, painter, live
+        self.recording, self.painter, self.live, self.paths = recording, painter, live, paths
         self.every = painter.look.every or (0.0 if wear is None else painter.duration / TEXTURES)
         self.names: list[str] = []
         self.shown: Picture | None = None
@@ -77,7 +81,8 @@ class DyedCloth:
         if self._wear is None:
             arrays, text = decode_arrays(payload)
             page = about(str(text.get("scene", "")), self.painter, arrays["fibre"].shape)
-            self._log("/about", rr.TextDocument(page, media_type="text/markdown"), static=True)
+            self._log(self.paths.page("about"), rr.TextDocument(page, media_type="text/markdown"), static=True)
+            self._log_scale()
 
     def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
         """Show a frame, now or later. Raises BadMessage."""
@@ -98,26 +103,59 @@ class DyedCloth:
         if list(status.mobile) != self.names:
             self.names = list(status.mobile)
             for name in self.names:
-                self._log(_curves(name), layout.names(AMOUNTS, WIDTHS), static=True)
+                layout.log_names(self.recording, self.paths, f"dye/{name}", AMOUNTS, WIDTHS)
             self.arrange_window("following" if self.live else "playing")
         for name in self.names:
             mobile, fixed = (layout.number(amount.get(name)) for amount in (status.mobile, status.fixed))
-            values = [layout.number(status.supplied.get(name)), mobile + fixed, mobile, fixed]
-            self._log(_curves(name), rr.Scalars(values))
+            values = (layout.number(status.supplied.get(name)), mobile + fixed, mobile, fixed)
+            layout.log_values(self.recording, self.paths, f"dye/{name}", dict(zip(AMOUNTS, values, strict=True)))
         if self._wear is None:
-            self._log("/plots/time", rr.Scalars(1000.0 * status.step_seconds))
+            layout.log_values(self.recording, self.paths, "time", {TIME: 1000.0 * status.step_seconds})
         if status.message:
-            self._log("/log", rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"))
+            self._log(
+                self.paths.page("log"),
+                rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"),
+            )
 
     def arrange_window(self, play: layout.Play) -> None:
         """Arrange the window once the dyes are known."""
         if self._wear is not None:
             self._arrange()
             return
-        self._log("/plots/time", layout.names(["computing the frame"]), static=True)
-        duration = self.painter.duration * self.painter.speed
-        blueprint = layout.arrange_dyed(self.names, self.painter.shape, duration, play)
+        layout.log_names(self.recording, self.paths, "time", [TIME])
+        if self.paths.run:  # compared runs have one blueprint in common
+            return
+        blueprint = layout.arrange_dyed(self.names, self.painter.shape, self.duration, play)
         self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    @property
+    def duration(self) -> float:
+        """Time of the whole dyeing [s]."""
+        return self.painter.duration * self.painter.speed
+
+    def _log_scale(self) -> None:
+        """Log a bar of about a fifth of the picture's width, of a round length."""
+        height, width = self.painter.shape
+        length = round_up(0.1 * width * self.painter.pixel)
+        x, y = 0.04 * width, 0.95 * height
+        bar = [[x, y], [x + length / self.painter.pixel, y]]
+        strips = rr.LineStrips2D(
+            [bar, bar], colors=[[255, 255, 255], [30, 30, 30]], radii=[-4.0, -1.5], draw_order=10.0
+        )
+        self._log(f"{self._picture}/scale", strips, static=True)
+        end = rr.Points2D(
+            [bar[1]],
+            radii=0.0,
+            colors=[[255, 255, 255]],
+            labels=[f"{1e3 * length:.4g} mm"],
+            show_labels=True,
+            draw_order=11.0,
+        )
+        self._log(f"{self._picture}/scale/length", end, static=True)
+
+    @property
+    def _picture(self) -> str:
+        return self.paths.page(layout.PICTURE)
 
     def _draw(self, frame: int, t: float, payload: bytes) -> None:
         self._waiting = None
@@ -129,7 +167,7 @@ class DyedCloth:
         if self._wear is not None:
             self._wear(picture)
         else:
-            self._log(layout.PICTURE, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
+            self._log(self._picture, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
         self.shown = picture
 
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
@@ -158,10 +196,6 @@ def about(scene: str, painter: DyePainter, shape: tuple[int, ...]) -> str:
 **Curves**: amounts in full cells. Mobile and fixed are what the cloth holds, total is both, and
 supplied is what it was given so far: total and supplied lie on each other.
 """
-
-
-def _curves(name: str) -> str:
-    return layout.entity("plots", "dye", name)
 
 
 def _jpeg(picture: Picture) -> bytes:

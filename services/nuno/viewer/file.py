@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
@@ -13,55 +14,48 @@ from pydantic import ValidationError
 
 from nuno.bus.encodings import BadMessage
 from nuno.dye.painter import DyePainter
-from nuno.exports.cloth import read_texture
+from nuno.exports.cloth import Pieces, read_texture
 from nuno.recording.reader import Recording
 from nuno.recording.writer import part_of
 from nuno.scene.recorded_scene import restored_scene
 from nuno.viewer.bridge import Bridge
-from nuno.viewer.cloth import ReadImage, read_image
+from nuno.viewer.cloth import ReadImage, field_values, read_image
 from nuno.viewer.dyed import viewer_painter
-from nuno.viewer.stream import APPLICATION, application
+from nuno.viewer.fields import Scale
+from nuno.viewer.live import VIEWS
+from nuno.viewer.stream import OpenViewer, Subject, application, connect, describe, find_viewer, properties
 from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.messages import STATE
 from nuno_schemas.scene import View
 
 FLUSH_SECONDS = 60.0
 BLOCK = 2**20
+SAMPLES = 32
+"""Most frames whose values the colour scales of a recording are fitted to before."""
 PIPES = Path("/dev/fd")
 
 
-class RerunFile:
-    """Writes `path` + ".part", which is renamed when it is complete.
+class RrdFile:
+    """A rerun recording stream, `recording`, that is written to `path` + ".part", which is renamed when it is complete.
 
-    run     the recording's id in rerun. Every message given to `feed` is written.
-    layout  its application id
-
-    Raises BadInput if the file cannot be created, RunFailed if writing fails later (disk
-    full).
+    Raises BadInput if the file cannot be created, RunFailed if writing fails later (disk full).
     """
 
-    def __init__(
-        self,
-        path: Path,
-        run: str,
-        view: View | None = None,
-        images: ReadImage = read_image,
-        painter: DyePainter | None = None,
-        layout: str = APPLICATION,
-        colour: str = "auto",
-    ) -> None:
+    def __init__(self, path: Path, subject: Subject) -> None:
         self.path = path
-        self._recording = rr.RecordingStream(layout, recording_id=run, send_properties=False)
+        self.recording = rr.RecordingStream(subject.layout, recording_id=subject.run, send_properties=False)
         try:
             self._file = part_of(path).open("wb")
         except OSError as error:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
-        self._copy = _save(self._recording, self._file)
-        self.bridge = Bridge(self._recording, view, images=images, painter=painter, colour=colour)
+        self._copy = _save(self.recording, self._file)
+        self.recording.set_log_time_enabled(False)  # two conversions of one recording are equal
+        self.recording.set_log_tick_enabled(False)
+        describe(self.recording, subject)
 
-    def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
-        """Write one message. Raises BadMessage, RunFailed."""
-        self.bridge.feed(topic, frame, t, payload)
+    def check(self) -> None:
+        """Raise RunFailed if writing has failed."""
         if self._copy is not None and self._copy.error is not None:
             raise self._failed(self._copy.error)
 
@@ -72,7 +66,6 @@ class RerunFile:
 
     def finish(self) -> Path:
         """Write the rest and rename the file. Raises RunFailed if it cannot be written."""
-        self.bridge.flush()
         error = self._close()
         if error is not None:
             raise self._failed(error)
@@ -82,8 +75,8 @@ class RerunFile:
     def _close(self) -> Exception | None:
         """Flush and close the file, and return the first error."""
         try:
-            self._recording.flush(timeout_sec=FLUSH_SECONDS)
-            self._recording.disconnect()
+            self.recording.flush(timeout_sec=FLUSH_SECONDS)
+            self.recording.disconnect()
             if self._copy is not None:
                 self._copy.join(FLUSH_SECONDS)
             self._file.close()
@@ -93,6 +86,31 @@ class RerunFile:
 
     def _failed(self, error: Exception) -> RunFailed:
         return RunFailed(f"the rerun file could not be written: {error}; {part_of(self.path)} holds what was")
+
+
+class RerunFile(RrdFile):
+    """Writes every message given to `feed`, as Bridge shows it; `images`, `painter` and `colour` are Bridge's."""
+
+    def __init__(
+        self,
+        path: Path,
+        subject: Subject,
+        images: ReadImage = read_image,
+        painter: DyePainter | None = None,
+        colour: str = "auto",
+    ) -> None:
+        super().__init__(path, subject)
+        self.bridge = Bridge(self.recording, subject.view, images=images, painter=painter, colour=colour)
+
+    def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
+        """Write one message. Raises BadMessage, RunFailed."""
+        self.bridge.feed(topic, frame, t, payload)
+        self.check()
+
+    def finish(self) -> Path:
+        """Write the rest and rename the file. Raises RunFailed if it cannot be written."""
+        self.bridge.flush()
+        return super().finish()
 
 
 def _save(recording: rr.RecordingStream, file: BinaryIO) -> _Copy | None:
@@ -132,25 +150,62 @@ class _Copy(threading.Thread):
         os.close(self._source)
 
 
-def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
-    """Write every message of a finished recording to a rerun file, with all cloth painted by `colour`: cloth,
-    stretch, or auto, as the scene's view says. Raises BadInput for a damaged recording.
-    """
-    run = recording.metadata.get("run", {}).get("id", recording.path.stem)
+def subject_of(recording: Recording) -> Subject:
+    """Return what a recording shows; a damaged view is the default one."""
     try:
         view = View.model_validate(recording.scene.get("view", {}))
     except ValidationError:
         view = View()
+    run = recording.metadata.get("run", {}).get("id", recording.path.stem)
+    facts = properties(recording.scene, recording.metadata.get("versions", {}))
+    return Subject(run=run, view=view, layout=application(recording.scene), properties=facts)
+
+
+def measure_scales(recording: Recording, scales: Mapping[str, Scale]) -> None:
+    """Widen colour scales to the values of a recording, at most SAMPLES frames of it. Raises BadInput."""
+    count = recording.counts.get(STATE.name, 0)
+    every, pieces = max(1, -(-count // SAMPLES)), Pieces(recording)
+    for i, message in enumerate(recording.messages([STATE.name])):
+        if i % every == 0:
+            positions = recording.points(message)
+            for piece in pieces.at(message.t):
+                if piece.stop <= len(positions):
+                    for name, values in field_values(piece, positions[piece.start : piece.stop]):
+                        scales[name].widen(values)
+
+
+def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
+    """Write every message of a finished recording to a rerun file, in which cloth is seen first by `colour`: cloth,
+    stretch, or auto, as the scene's view says. Raises BadInput for a damaged recording.
+    """
     with ExitStack() as stack:
         painter = None
         if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
-        layout = application(recording.scene)
-        file = RerunFile(path, run, view, lambda texture: read_texture(recording, texture), painter, layout, colour)
+        file = RerunFile(path, subject_of(recording), lambda name: read_texture(recording, name), painter, colour)
         try:
+            measure_scales(recording, file.bridge.scales)
             for message in recording.messages():
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
         except BadMessage as error:
             file.abort()
             raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
+        except BadInput:
+            file.abort()
+            raise
         return file.finish()
+
+
+def show_file(path: Path, subject: Subject, view: str) -> OpenViewer:
+    """Send a rerun file to a viewer, "window", "web" or an address, and return the viewer. Raises RunFailed if there is
+    none.
+    """
+    try:
+        viewer = find_viewer(view) if view in VIEWS else OpenViewer(0, view, "", reused=True)
+        stream = connect(viewer.address, subject)
+        stream.log_file_from_path(path)
+        stream.flush(timeout_sec=FLUSH_SECONDS)
+        stream.disconnect()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise RunFailed(f"the viewer does not show it: {error}") from None
+    return viewer

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -11,15 +12,16 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from nuno.viewer.fields import BACKGROUND, QUANTITIES, ordered
 from nuno_schemas.fabric import Float
 from nuno_schemas.scene import View
 
-TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "/dye/picture"
+TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "picture"
 """Timelines of the scene, and of the dyeing in scenes of dye alone; entity of the dyed cloth's picture."""
 YARNS = "/render/yarns"
 """Entity of ray-traced pictures of yarns."""
-LEGEND = "/legend"
-"""Entity of the colour scale of tension."""
+EXTRAS = ("contact", "pins")
+"""What of a scene is hidden at first: points of contact with bodies and their forces, and pins."""
 HALF_VIEW = 0.5 * np.radians(58.0)
 """About half of rerun's vertical field of view."""
 
@@ -32,7 +34,7 @@ Play = Literal["following", "playing", "looping"]
 """What the time does: it follows the newest frame, or plays from the start, once or again and again."""
 MOST_ROWS = 4
 """Most plots of dyes in a column; more are put into tabs."""
-BACKGROUND, LINES = [226, 230, 234], [120, 126, 134, 90]
+LINES = [120, 126, 134, 90]
 GRID = 0.1
 """Spacing of the floor's lines [m]."""
 
@@ -72,62 +74,155 @@ def fit_eye(points: Float, view: View) -> Eye:
     return Eye(target + distance * toward, target, float(cloud[:, 1].min()))
 
 
-def arrange(
-    eye: Eye, bodies: bool, play: Play, dyes: list[str] | None = None, pictures: bool = False, legend: bool = False,
-    meets: bool = False, ground: bool = False, felt: bool = False,
-) -> Any:  # fmt: skip
-    """Return the blueprint: the scene large on the left, with the `legend` of its links' tension below and the
-    `pictures` of its yarns next to it, if any; curves, log and report on the right. `meets`: cloth collides with cloth.
-    A scene without a `ground` has a grid below it. `felt`: contact forces on bodies are shown.
+@dataclass
+class Window:
+    """What the window shows besides the scene's cloth.
+
+    bodies    whether there are bodies, and `ground` whether any is drawn as the ground: a scene without has a grid
+    meets     whether cloth collides with cloth, and `felt` whether contact forces on bodies are recorded
+    counted   whether solvers count something
+    pictures  whether there are pictures of yarns
+    dyes      names of the dyes
+    fields    how each field colours cloth: the visualizer of each path
+    active    the field of the first tab to be seen; "" for the cloth's own look
+    apart     whether compared runs have a distance from the first
+    runs      names of compared recordings, whose entities are below one of that name; empty for one recording
+    hidden    paths of bodies that are not drawn, since another run's are at the same place
     """
-    plots = [curves("Energy [J]", "energy", legend=True), curves("Largest stretch [%]", "stretch")]
-    if bodies:
-        plots.append(curves("Penetration [mm]", "penetration", legend=True))
-    if felt:
-        plots.append(curves("Force on bodies [N]", "contact", legend=True))
-    if meets:
-        plots.append(curves("Least distance of cloth from cloth [mm]", "distance"))
-    plots.append(curves("Wall time to compute a frame [ms]", "time"))
-    amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True) for name in dyes or ()]
-    tabs = [*([("Dye", amounts)] if amounts else []), ("Curves", plots)]
-    scene: Any = rrb.Spatial3DView(
-        name="Scene",
+
+    bodies: bool = False
+    ground: bool = False
+    meets: bool = False
+    felt: bool = False
+    counted: bool = False
+    pictures: bool = False
+    apart: bool = False
+    dyes: list[str] = field(default_factory=list)
+    fields: dict[str, dict[str, Any]] = field(default_factory=dict)
+    active: str = ""
+    runs: list[str] = field(default_factory=list)
+    hidden: list[str] = field(default_factory=list)
+
+
+class Paths:
+    """Entities of one recording; of a `run` that is compared with others below an entity of its name, with curves of
+    its `colour`.
+    """
+
+    def __init__(self, run: str = "", colour: Sequence[int] | None = None) -> None:
+        self.run, self.colour = run, colour
+        self._run = [run] if run else []
+
+    def world(self, *parts: str) -> str:
+        """Return the path of something in the scene."""
+        return entity("world", *self._run, *parts)
+
+    def plot(self, *parts: str) -> str:
+        """Return the path of a curve."""
+        return entity("plots", *parts, *self._run)
+
+    def page(self, name: str) -> str:
+        """Return the path of the log, the report, the explanation, or the picture of dye."""
+        return entity(name, *self._run)
+
+    def label(self, text: str) -> str:
+        """Return a curve's name."""
+        return ", ".join([text, *self._run])
+
+
+def legend(field: str) -> str:
+    """Return the entity of a field's colour scale."""
+    return entity("legend", field)
+
+
+def arrange(eye: Eye, window: Window, play: Play) -> Any:
+    """Return the blueprint: the scene large on the left, with a tab for the cloth's own look and one for each field,
+    with its legend below; curves, log and report on the right.
+    """
+    views: list[Any] = [_scene(eye, window, "Cloth", {})]
+    names = ordered(list(window.fields))
+    for name in names:
+        scale = rrb.Spatial2DView(
+            name=QUANTITIES[name].title, origin=legend(name), background=rrb.Background(color=BACKGROUND)
+        )
+        scene = _scene(eye, window, name.capitalize(), window.fields[name])
+        views.append(rrb.Vertical(scene, scale, row_shares=[9.0, 1.0], name=name.capitalize()))
+    active = names.index(window.active) + 1 if window.active in names else 0
+    main = rrb.Tabs(*views, active_tab=active, name="Scene") if len(views) > 1 else views[0]
+    if window.pictures:
+        main = rrb.Horizontal(main, rrb.Spatial2DView(name="Yarns", origin=YARNS))
+    return _blueprint(main, _plots(window), play, runs=window.runs)
+
+
+def _scene(eye: Eye, window: Window, name: str, coloured: dict[str, Any]) -> Any:
+    """Return a view of the scene, in which visualizers by path change the look of cloth. Points of contact, its forces
+    and pins are there, and hidden.
+    """
+    hidden = [entity("world", *run, what) for run in ([[r] for r in window.runs] or [[]]) for what in EXTRAS]
+    out_of_sight = {path: rrb.EntityBehavior(visible=False) for path in hidden}
+    return rrb.Spatial3DView(
+        name=name,
         origin="/world",
+        contents=["$origin/**", *(f"- {path}/**" for path in window.hidden)],
+        overrides={**out_of_sight, **coloured},
         background=rrb.Background(color=BACKGROUND),
         line_grid=rrb.LineGrid3D(
-            visible=not ground, spacing=GRID, plane=rr.components.Plane3D([0.0, 1.0, 0.0], eye.lowest), color=LINES
+            visible=not window.ground, spacing=GRID, plane=rr.components.Plane3D([0.0, 1.0, 0.0], eye.lowest),
+            color=LINES,
         ),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=[0, 1, 0]
         ),
-    )
-    if legend:
-        scale = rrb.Spatial2DView(
-            name="Tension along the yarns", origin=LEGEND, background=rrb.Background(color=BACKGROUND)
-        )
-        scene = rrb.Vertical(scene, scale, row_shares=[9.0, 1.0])
-    main = scene if not pictures else rrb.Horizontal(scene, rrb.Spatial2DView(name="Yarns", origin=YARNS))
-    return _blueprint(main, [rrb.Vertical(*part, name=name) for name, part in tabs], play)
+    )  # fmt: skip
 
 
-def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, play: Play) -> Any:
-    """Return the blueprint of a dyed cloth: its picture large on the left, curves of each dye on the right.
+def _plots(window: Window) -> list[Any]:
+    """Return the tabs of curves."""
+    several = bool(window.runs)
+    # Of compared runs the energy's total alone: its parts are there for who adds them.
+    energy = curves("Total energy from the start [J]", "energy/total", legend=True) if several else curves(
+        "Energy, of gravity from the start [J]", "energy", legend=True)  # fmt: skip
+    plots = [energy, curves("Largest stretch [%]", "stretch", legend=several)]
+    if window.apart:
+        plots.append(curves("Distance from the first recording [mm]", "difference", legend=True))
+    if window.bodies:
+        plots.append(curves("Penetration [mm]", "penetration", legend=True))
+    if window.felt:
+        plots.append(curves("Force on bodies [N]", "contact", legend=True))
+    if window.meets:
+        plots.append(curves("Least distance of cloth from cloth [mm]", "distance", legend=True))
+    plots.append(curves("Wall time to compute a frame [ms]", "time", legend=several))
+    tabs = [rrb.Vertical(*plots, name="Curves")]
+    if window.dyes:
+        amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True) for name in window.dyes]
+        tabs.insert(0, rrb.Vertical(*amounts, name="Dye"))
+    if window.counted:
+        tabs.append(rrb.Vertical(curves("Counts of a frame", "counts", legend=True), name="Counts"))
+    return tabs
 
-    `shape` is that of the picture [pixels]. Curves show the whole `duration` of the dyeing [s], which is played within
+
+def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, play: Play, runs: Sequence[str] = ()) -> Any:
+    """Return the blueprint of a dyed cloth: its picture large on the left, curves of each dye on the right; of compared
+    `runs` a picture each.
+
+    `shape` is that of the pictures [pixels]. Curves show the whole `duration` of the dyeing [s], which is played within
     PLAY_SECONDS: rerun's defaults show a minute, and play for hours.
     """
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True, duration=duration) for name in dyes]
-    time = curves("Wall time to compute a frame [ms]", "time", duration=duration)
+    time = curves("Wall time to compute a frame [ms]", "time", legend=bool(runs), duration=duration)
     plots = [*amounts, time] if len(dyes) < MOST_ROWS else [rrb.Tabs(*amounts, name="Amounts"), time]
-    picture = rrb.Spatial2DView(
-        name="Cloth",
-        origin=PICTURE,
-        background=rrb.Background(color=BACKGROUND),
-        visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
-    )
-    return _blueprint(
-        picture, [rrb.Vertical(*plots, name="Curves")], play, DYE_TIMELINE, max(1.0, duration / PLAY_SECONDS)
-    )
+    pictures = [
+        rrb.Spatial2DView(
+            name=run or "Cloth",
+            origin=Paths(run).page(PICTURE),
+            background=rrb.Background(color=BACKGROUND),
+            visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
+        )
+        for run in runs or [""]
+    ]
+    main = pictures[0] if len(pictures) == 1 else rrb.Grid(*pictures)
+    tabs, speed = [rrb.Vertical(*plots, name="Curves")], max(1.0, duration / PLAY_SECONDS)
+    return _blueprint(main, tabs, play, DYE_TIMELINE, speed, runs)
 
 
 def curves(name: str, what: str, legend: bool = False, duration: float | None = None) -> Any:
@@ -144,12 +239,15 @@ def curves(name: str, what: str, legend: bool = False, duration: float | None = 
     )
 
 
-def _blueprint(main: Any, plots: list[Any], play: Play, timeline: str = TIMELINE, speed: float = 1.0) -> Any:
+def _blueprint(
+    main: Any, plots: list[Any], play: Play, timeline: str = TIMELINE, speed: float = 1.0, runs: Sequence[str] = ()
+) -> Any:
+    pages = [(f"Report of {run}", entity("report", run)) for run in runs] or [("Report", "/report")]
     side = rrb.Tabs(
         *plots,
-        rrb.TextDocumentView(name="About", origin="/about"),
+        *([] if runs else [rrb.TextDocumentView(name="About", origin="/about")]),
         rrb.TextLogView(name="Log", origin="/log"),
-        rrb.TextDocumentView(name="Report", origin="/report"),
+        *(rrb.TextDocumentView(name=name, origin=origin) for name, origin in pages),
         active_tab=0,
     )
     return rrb.Blueprint(
@@ -179,10 +277,22 @@ def entity(*parts: str) -> str:
     return "/" + str(rr.new_entity_path(list(parts))).lstrip("/")
 
 
-def names(labels: list[str], widths: list[float] | None = None) -> Any:
-    """Return names and colours of a plot's curves; a curve named "total" is grey."""
-    colours = [TOTAL if label == "total" else CURVES[i % len(CURVES)] for i, label in enumerate(labels)]
-    return rr.SeriesLines(names=labels, colors=colours, widths=widths or [2.0] * len(labels))
+def log_names(recording: Any, paths: Paths, plot: str, curves: Sequence[str], widths: Sequence[float] = ()) -> None:
+    """Name and colour the curves of a plot, each an entity of its own: PLOT/CURVE; a curve named "total" is grey. Those
+    of compared runs have the run's colour, and are thinner after the first.
+    """
+    for i, name in enumerate(curves):
+        colour, width = TOTAL if name == "total" else CURVES[i % len(CURVES)], widths[i] if widths else 2.0
+        if paths.colour is not None:
+            colour, width = list(paths.colour), 2.0 if i == 0 or name == "total" else 1.0
+        series = rr.SeriesLines(names=paths.label(name), colors=colour, widths=width)
+        recording.log(paths.plot(*plot.split("/", 1), name), series, static=True, strict=True)
+
+
+def log_values(recording: Any, paths: Paths, plot: str, values: Mapping[str, float]) -> None:
+    """Log the present value of each curve of a plot."""
+    for name, value in values.items():
+        recording.log(paths.plot(*plot.split("/", 1), name), rr.Scalars(value), strict=True)
 
 
 def number(value: float | None) -> float:

@@ -19,16 +19,18 @@ from typing import Any
 import psutil
 
 from nuno.output_files import check_target
-from nuno.viewer.stream import APPLICATION, END
+from nuno.viewer.stream import END, Subject
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import FRAMES, STATE
-from nuno_schemas.scene import View
 
 RING_BYTES = 64 * 2**20
 """Most bytes of frames on their way to the viewer; beyond that the oldest are skipped. A window takes
 seconds to open: short runs of small cloth wait here meanwhile, and are shown completely."""
-FINISH_SECONDS, FINISH_MOST = 5.0, 20.0
-"""Longest wait for one of the last frames, and for all of them, once the viewer is connected [s]."""
+FINISH_SECONDS, FINISH_MOST = 20.0, 60.0
+"""Longest wait for one of the last frames, and for all of them, once the viewer is connected [s]. The first frame of
+dye waits for its painter, which may be compiled first; a viewer that hangs is given up before, after
+`stream.FLUSH_SECONDS`.
+"""
 CONNECT_SECONDS = 20.0
 """Longest wait for the connection [s]: a first import may take longer than a short run."""
 
@@ -85,25 +87,21 @@ class LiveView:
     """Passes messages to a process that shows them, `nuno.viewer.stream`.
 
     view      "window", "web" or the address of an open viewer
-    layout    application id, as `stream.application` returns it
-    scene     scene of a dyed cloth, as `stream.scene_of` writes it
-    leader    the topic with one message per frame
+    subject   what is shown
     announce  called with messages for the user ("warning" or "start", text)
+    leader    the topic with one message per frame
 
     `feed` returns at once, whatever the viewer does. `finish` waits until the viewer is connected, at most
-    CONNECT_SECONDS, and then while frames are shown, at most FINISH_MOST, and FINISH_SECONDS for a viewer
-    that hangs. A viewer that is closed, hangs or cannot start ends the view, not the run.
+    CONNECT_SECONDS, and then until it has taken all frames, at most FINISH_MOST, and FINISH_SECONDS while none is
+    shown. A viewer that is closed, hangs or cannot start ends the view, not the run.
     """
 
     def __init__(
         self,
         view: str,
-        run: str,
-        scene_view: View,
+        subject: Subject,
         announce: Callable[[str, str], object],
-        scene: str = "",
         leader: str = STATE.name,
-        layout: str = APPLICATION,
     ) -> None:
         self.frames = self.shown = 0
         self.pid: int | None = None
@@ -113,8 +111,7 @@ class LiveView:
         self._ring = Ring()
         self._connected = threading.Event()
         # -P: a module of the user's folder must not replace one of ours.
-        command = [sys.executable, "-P", "-m", "nuno.viewer.stream"]
-        command += [view, run, scene_view.model_dump_json(), layout, scene]
+        command = [sys.executable, "-P", "-m", "nuno.viewer.stream", view, subject.model_dump_json()]
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, start_new_session=True
@@ -180,7 +177,10 @@ class LiveView:
                 self._connected.set()
             if "pid" in status:
                 self.pid, self.page = status["pid"], status["page"]
-                self._announce("start", f"the viewer is at {self.page}" if self.page else "the viewer is open")
+                what = "it is shown in the viewer that is open" if status["reused"] else "the viewer is open"
+                self._announce("start", f"the viewer is at {self.page}" if self.page else what)
+            if "warning" in status:
+                self._announce("warning", status["warning"])
             if "error" in status:
                 self._fail(status["error"])
         if self._process.wait() != 0:
@@ -223,13 +223,20 @@ def has_screen() -> bool:
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def add_view(parser: argparse.ArgumentParser, no_view: str) -> None:
-    """Add the flags of commands that show a run; `no_view` is the help text of --no-view."""
+def add_view(parser: argparse.ArgumentParser, no_view: str = "") -> None:
+    """Add the flags of commands that show a run; `no_view` is the help text of --no-view, "" for a command that only
+    shows.
+    """
     view = parser.add_argument_group("viewing").add_mutually_exclusive_group()
-    words = "show it in rerun: a window (default where there is a screen) or web on loopback"
-    view.add_argument("--view", nargs="?", const="window", choices=VIEWS, help=words)
-    view.add_argument("--no-view", action="store_true", help=no_view)
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="also write a file for the rerun viewer")
+    words = (
+        "show it in rerun: a window (default where there is a screen), web on loopback, or the address of a viewer "
+        f"that is open elsewhere, such as {ADDRESS}127.0.0.1:9876/proxy"
+    )
+    view.add_argument("--view", nargs="?", const="window", metavar="window|web|ADDRESS", help=words)
+    if no_view:
+        view.add_argument("--no-view", action="store_true", help=no_view)
+    save = "also write a file for the rerun viewer" if no_view else "write a file for the rerun viewer instead"
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help=save)
 
 
 def choose_view(args: argparse.Namespace) -> str | None:

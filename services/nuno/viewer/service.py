@@ -12,10 +12,10 @@ from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.bus.messages import Inbox, Message
 from nuno.exports.cloth import find_named
 from nuno.runtime.service import Context, Finish, each_message
-from nuno.scene.provenance import assets
+from nuno.scene.provenance import assets, versions
 from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import LiveView, require
-from nuno.viewer.stream import END, LOOP, application, scene_of
+from nuno.viewer.stream import END, LOOP, Subject, application, properties, scene_of
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, REPORT, STATE, TOPICS, Topic
 
@@ -43,17 +43,20 @@ class Viewer:
         """Messages from before the cloth is known."""
         scene = context.loaded.scene
         self.awaited = {name for name, exists in ((FABRIC.name, scene.moves), (CLOTH.name, scene.dye)) if exists}
-        options, view, layout = context.options, scene.view, application(context.loaded.data)
+        options, data = context.options, context.loaded.data
+        subject = Subject(
+            run=context.bus.run, view=scene.view, layout=application(data), scene=scene_of(context.loaded),
+            properties=properties(data, versions()),
+        )  # fmt: skip
         self.file: Any = None
         if options.save is not None:
             from nuno.viewer.file import RerunFile
 
-            self.file = RerunFile(options.save, context.bus.run, view, painter=_painter(context.loaded), layout=layout)
-        dyed_scene = scene_of(context.loaded)
+            self.file = RerunFile(options.save, subject, painter=_painter(context.loaded))
         self.leader = STATE.name if scene.moves else CONCENTRATION.name
         self.live: LiveView | None = None
         if options.view:
-            self.live = LiveView(options.view, context.bus.run, view, context.event, dyed_scene, self.leader, layout)
+            self.live = LiveView(options.view, subject, context.event, self.leader)
         self.acknowledges = context.bus.service in options.must_see
         # Without a file a viewer may join late, and then sees only new messages.
         self.inbox = Inbox(context.bus, VIEWED, newest_only=self.file is None)

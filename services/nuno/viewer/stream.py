@@ -1,12 +1,13 @@
 """The process between a run and a live viewer: it may hang or die without harm to the run.
 
 It reads frames from its standard input, each a JSON line {topic, frame, t, size} and `size` bytes,
-and writes JSON lines about its status to its standard output. It also starts the viewer, which stays
-open when the run is over.
+and writes JSON lines about its status to its standard output. It also starts the viewer, unless one is
+open, which stays open when the run is over.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -15,10 +16,15 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+import psutil
+from pydantic import BaseModel
+
 from nuno.bus.sessions import free_port
+from nuno.runtime.runs import folder
 from nuno_schemas.scene import View
 
 if TYPE_CHECKING:
@@ -35,6 +41,8 @@ END, LOOP = "end", "loop"
 run was killed."""
 LOOPBACK = "127.0.0.1"
 APPLICATION = "nuno"
+PORT = 9876
+"""Where rerun's viewer listens."""
 
 
 def say(**status: Any) -> None:
@@ -57,8 +65,63 @@ def listens(port: int, host: str = LOOPBACK) -> bool:
     return True
 
 
-def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
-    """Start rerun on loopback; return the process, the address to stream to, and the page ("" for a window).
+PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+SETTINGS, GOODBYE = 4, 7
+"""Types of HTTP/2's frames (RFC 9113): each begins with a length of 3 bytes, a type, flags, and a stream of 4 bytes."""
+
+
+def is_viewer(port: int, host: str = LOOPBACK) -> bool:
+    """Return whether what listens on a port speaks HTTP/2, as rerun's viewer does. A connection that says nothing would
+    make the viewer show an error.
+    """
+    settings, goodbye = (bytes([0, 0, size, kind, 0, 0, 0, 0, 0]) for size, kind in ((0, SETTINGS), (8, GOODBYE)))
+    try:
+        with socket.create_connection((host, port), timeout=1.0) as probe:
+            probe.sendall(PREFACE + settings)
+            answer = probe.recv(9)
+            probe.sendall(goodbye + bytes(8))
+    except OSError:
+        return False
+    return len(answer) == 9 and answer[3] == SETTINGS
+
+
+@dataclass(frozen=True)
+class OpenViewer:
+    """A viewer of this user: its process, the address to stream to, its page ("" for a window), and whether it was open
+    before.
+    """
+
+    pid: int
+    address: str
+    page: str
+    reused: bool = False
+
+
+def find_viewer(mode: str) -> OpenViewer:
+    """Return the viewer of this kind that an earlier command has opened, else a new one. Raises OSError if none starts.
+
+    Only viewers that are noted in the user's own folder are used again: on a machine with several users, what listens
+    on the port may be another's.
+    """
+    note = folder() / f"viewer-{mode}"
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, psutil.Error):
+        known = json.loads(note.read_text())
+        port = int(known["port"])
+        if psutil.Process(known["pid"]).create_time() == known["started"] and is_viewer(port):
+            return OpenViewer(known["pid"], _address(port), known["page"], reused=True)
+    viewer, port, page = start_viewer(mode)
+    started = psutil.Process(viewer.pid).create_time()
+    note.write_text(json.dumps({"pid": viewer.pid, "started": started, "port": port, "page": page}))
+    return OpenViewer(viewer.pid, _address(port), page)
+
+
+def _address(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], int, str]:
+    """Start rerun on loopback; return the process, the port to stream to, and the page ("" for a window).
+    Raises OSError if it does not start.
 
     It starts the binary, because the console script would leave it running on a signal, in a new
     session, so that an interrupt of the run does not close the window.
@@ -66,9 +129,8 @@ def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
     import rerun_cli
 
     binary = os.path.join(rerun_cli.__path__[0], "rerun.exe" if os.name == "nt" else "rerun")
-    port = port_or_free(9876)
-    command = [binary, "--bind", LOOPBACK, "--port", str(port)]
-    address, page = f"rerun+http://{LOOPBACK}:{port}/proxy", ""
+    port = port_or_free(PORT)
+    command, page = [binary, "--bind", LOOPBACK, "--port", str(port)], ""
     if mode == "web":
         web = port_or_free(9090)
         command += ["--serve-web", "--web-viewer-port", str(web)]
@@ -78,12 +140,12 @@ def start_viewer(mode: str) -> tuple[subprocess.Popen[bytes], str, str]:
     quiet = subprocess.DEVNULL
     viewer = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
     end = time.monotonic() + START_SECONDS
-    while not listens(port):
+    while not is_viewer(port):
         if viewer.poll() is not None or time.monotonic() > end:
             viewer.kill()
             raise OSError("the viewer did not start")
         time.sleep(0.05)
-    return viewer, address, page
+    return viewer, port, page
 
 
 def application(scene: Mapping[str, Any]) -> str:
@@ -99,17 +161,71 @@ def application(scene: Mapping[str, Any]) -> str:
     return " ".join([APPLICATION, str(scene.get("name", "")), *(name for name, there in parts.items() if there)])
 
 
-def connect(address: str, run: str, layout: str = APPLICATION) -> Any:
-    """Return a recording stream to a viewer, whose `layout` is an application id. Raises OSError if none listens."""
+class Subject(BaseModel):
+    """What a live view shows, as its process needs to know it."""
+
+    run: str
+    """The run's name, and id in rerun."""
+    view: View = View()
+    """The scene's view."""
+    layout: str = APPLICATION
+    """Application id, as `application` returns it."""
+    scene: str = ""
+    """Source of a dyed scene, as `scene_of` writes it."""
+    properties: dict[str, str] = {}
+    """Properties of the recording in rerun, as `properties` returns them."""
+
+
+def properties(scene: Mapping[str, Any], versions: Mapping[str, str]) -> dict[str, str]:
+    """Return what rerun says of a recording: its scene, cloth, solver, step and versions, from the scene's data."""
+    found: dict[str, str] = {"scene": str(scene.get("name", ""))}
+    models = [piece.get("model") or {} for piece in scene.get("objects") or ()]
+    found["cloth"] = ", ".join(str(model.get("fabric") or model.get("plugin", "")) for model in models)
+    solver = scene.get("solver") or {}
+    found |= {"solver": str(solver.get("plugin", "")), "dt": str(solver.get("dt", ""))}
+    found["versions"] = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return {name: text for name, text in found.items() if text}
+
+
+def describe(recording: Any, subject: Subject) -> None:
+    """Name a recording stream by its run, and give its properties."""
+    import rerun as rr
+
+    recording.send_recording_name(subject.run)
+    if subject.properties:
+        recording.send_property("nuno", rr.AnyValues(**subject.properties))
+
+
+def connect(address: str, subject: Subject) -> Any:
+    """Return a recording stream to a viewer. Raises OSError if none listens."""
     import rerun as rr
 
     place = address.split("//", 1)[1].split("/", 1)[0]
     host, _, port = place.rpartition(":")
-    if not port.isdigit() or not listens(int(port), host.strip("[]")):
+    if not port.isdigit() or not is_viewer(int(port), host.strip("[]")):
         raise OSError(f"no viewer listens at {address}")
-    recording = rr.RecordingStream(layout, recording_id=run)
+    if (version := viewer_version(address)) not in ("", rr.__version__):
+        say(warning=f"the viewer at {address} is of rerun {version}, this is {rr.__version__}: it may not show all")
+    recording = rr.RecordingStream(subject.layout, recording_id=subject.run)
     recording.connect_grpc(address)
     return recording
+
+
+def viewer_version(address: str) -> str:
+    """Return the version of the viewer at an address; "" for a server of pages or a viewer that hangs: neither says."""
+    from rerun.experimental import ViewerClient
+
+    versions: list[str] = []
+
+    def ask() -> None:
+        # Of an experimental part of rerun: any error is as good as no answer.
+        with contextlib.suppress(Exception), ViewerClient.connect(address) as client:
+            versions.append(str(client.get_state().viewer_version))
+
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(GOODBYE_SECONDS)
+    return versions[0] if versions else ""
 
 
 def pump(source: BinaryIO, recording: Any, view: View, painter: DyePainter | None = None) -> int:
@@ -164,27 +280,31 @@ def scene_of(loaded: Loaded) -> str:
     return json.dumps({"path": str(loaded.path), "overrides": list(loaded.overrides), "roots": roots})
 
 
-def main(mode: str, run: str, view: str, layout: str, scene: str) -> None:
-    """Show the frames of standard input in a new viewer ("window", "web") or the one at an address."""
+def main(mode: str, text: str) -> None:
+    """Show the frames of standard input in a viewer of this user ("window", "web") or the one at an address; `text` is
+    the Subject as JSON.
+    """
     if hasattr(os, "nice"):
         # The viewer inherits it: on a machine with few cores the solver has priority.
         os.nice(5)
-    viewer = None
+    subject, viewer = Subject.model_validate_json(text), None
     try:
         address = mode
         if mode in ("window", "web"):
-            viewer, address, page = start_viewer(mode)
-            say(pid=viewer.pid, address=address, page=page)
-        recording = connect(address, run, layout)
+            viewer = find_viewer(mode)
+            address = viewer.address
+            say(pid=None if viewer.reused else viewer.pid, address=address, page=viewer.page, reused=viewer.reused)
+        recording = connect(address, subject)
+        describe(recording, subject)
         say(connected=True)
-        pump(sys.stdin.buffer, recording, View.model_validate_json(view), read_painter(scene))
+        pump(sys.stdin.buffer, recording, subject.view, read_painter(subject.scene))
         # Without a disconnect the viewer shows an error; a viewer that hangs is not waited for.
         goodbye = threading.Thread(target=recording.disconnect, daemon=True)
         goodbye.start()
         goodbye.join(GOODBYE_SECONDS)
     except (EOFError, BrokenPipeError):  # the run was killed
-        if viewer is not None:
-            viewer.kill()
+        if viewer is not None and not viewer.reused:
+            psutil.Process(viewer.pid).kill()
     except Exception as error:
         say(error=str(error) or type(error).__name__)
     # A normal exit would wait for a viewer that may never answer.
@@ -193,4 +313,4 @@ def main(mode: str, run: str, view: str, layout: str, scene: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:6])
+    main(*sys.argv[1:3])
