@@ -193,7 +193,9 @@ def describe(recording: Any, subject: Subject) -> None:
 
     recording.send_recording_name(subject.run)
     if subject.properties:
-        recording.send_property("nuno", rr.AnyValues(**subject.properties))
+        # Typed: rerun imports pandas, which takes as long as all of nuno, to find a plain value's type.
+        texts = {name: rr.components.TextBatch(text) for name, text in subject.properties.items()}
+        recording.send_property("nuno", rr.DynamicArchetype("nuno", components=texts))
 
 
 def connect(address: str, subject: Subject) -> Any:
