@@ -9,9 +9,8 @@ import pytest
 from model_files import Folder, build, files
 from pydantic import ValidationError
 
-from nuno_knit.knit import Knit, KnitConfig, structure
+from nuno_knit.knit import PRESETS, Knit, KnitConfig, structure
 from nuno_knit.structure import Knit as Structure
-from nuno_knit.yarns import PRESETS
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Int
 

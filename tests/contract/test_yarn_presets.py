@@ -8,7 +8,7 @@ import pytest
 
 from nuno.cli import main
 from nuno.cli.textiles import find_presets, show
-from nuno_knit.yarns import PRESETS
+from nuno_knit.knit import PRESETS
 from nuno_schemas.units import to_si
 
 DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "knit.md"

@@ -34,7 +34,7 @@ COMMANDS = {
     "draw": ("nuno.cli.studio", "a page for drawing ridges and valleys on a cloth by hand"),
     "studio": ("nuno.cli.studio", "a page for scenes, runs and recordings, in the browser"),
     "serve": ("nuno.cli.serve", "one service, to run services by hand or in containers"),
-    "certs": ("nuno.cli.certs", "certificates and access control, for a run on several hosts"),
+    "certs": ("nuno.cli.serve", "certificates and access control, for a run on several hosts"),
     "bench": (
         "nuno_bench.cli",
         "measurements: speed, integrators, precision, accuracy, compare, stability, peers",
