@@ -230,6 +230,17 @@ class Integrator(Plugin, Protocol):
 
 
 @dataclass(frozen=True)
+class DrawnSkin:
+    """A skin that is drawn in the place of a body that cloth meets, on the same frames: its d vertices [m] in its bind
+    pose and e triangles, each vertex in one at least.
+    """
+
+    vertices: Annotated[Float, "d", 3]
+    faces: Annotated[Int, "e", 3, Bounds(0, below="d")]
+    skin: Skin
+
+
+@dataclass(frozen=True)
 class BodyShape:
     """A collider's primitives and frames, in the layout of Geometry (one body)."""
 
@@ -248,6 +259,18 @@ class BodyShape:
     skins: tuple[Skin, ...] = ()
     pose: Callable[[float], tuple[Float, Float]] | None = None
     """As `Mover.pose`, if the frames differ from the motion's joints; None if they are the same."""
+    drawn: DrawnSkin | None = None
+    """What is shown and recorded in its place; None: itself."""
+
+    @property
+    def shown(self) -> BodyShape:
+        """The body as it is shown and recorded."""
+        if (drawn := self.drawn) is None:
+            return self
+        x, kind, owner = drawn.vertices, np.array([SKIN], np.int8), np.zeros(len(drawn.faces), np.int32)
+        low, high, none = x.min(axis=0)[None], x.max(axis=0)[None], np.zeros(1)
+        frame = np.zeros(1, np.int32)
+        return BodyShape(self.frames, kind, frame, low, high, none, x, drawn.faces, owner, skins=(drawn.skin,))
 
 
 class Motion(Plugin, Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, cast
+from typing import Annotated, ClassVar, Literal, cast
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -21,6 +21,7 @@ from nuno_contact.colliders.body_parts import (
 )
 from nuno_contact.motions.rotations import rest_positions
 from nuno_contact.quantities import Size
+from nuno_contact.skinning.drawn_person import draw_person
 from nuno_schemas.bodies import CAPSULE
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
@@ -49,6 +50,10 @@ class SkeletonConfig(Config):
         "joint's name goes before the name of a part",
     )
     bones: tuple[str, ...] | None = Field(default=None, description="joints or parts to build; all unless given")
+    drawn: Literal["capsules", "person"] = Field(
+        default="capsules",
+        description="how the body looks: the capsules that the cloth meets, or a person's skin on the same joints",
+    )
 
 
 @dataclass(frozen=True)
@@ -214,12 +219,13 @@ class Skeleton:
             frames += [bone.frame] * len(found)
         if not pieces:
             raise BadInput("the skeleton has no bone of nonzero length", field="collider")
-        a, b, radius = zip(*pieces, strict=True)
+        frame, (a, b, radius) = np.array(frames, np.int32), (np.array(part) for part in zip(*pieces, strict=True))
         return BodyShape(
             frames=mover.joints,
             kind=np.full(len(pieces), CAPSULE, np.int8),
-            frame=np.array(frames, np.int32),
-            a=np.array(a),
-            b=np.array(b),
-            radius=np.array(radius),
+            frame=frame,
+            a=a,
+            b=b,
+            radius=radius,
+            drawn=draw_person(mover, height, frame, a, b, radius) if c.drawn == "person" else None,
         )

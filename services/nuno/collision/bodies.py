@@ -20,6 +20,8 @@ class Bodies:
     """All bodies of a scene: their geometry and their motions."""
 
     geometry: Geometry
+    drawn: Geometry
+    """What is shown and recorded: of a body that is drawn otherwise than cloth meets it, that."""
     movers: tuple[Mover | None, ...]
     notes: tuple[str, ...] = ()
     """Notes about the bodies for the user."""
@@ -52,7 +54,8 @@ def build_bodies(loaded: Loaded) -> Bodies:
         movers.append(replace(mover, pose=shape.pose) if mover and shape.pose else mover)
     each = zip(loaded.scene.bodies, movers, shapes, strict=True)
     notes = [f"{body.name}: {n}" for body, mover, shape in each for n in (mover.notes if mover else ()) + shape.notes]
-    return Bodies(_geometry(loaded, shapes), tuple(movers), tuple(notes))
+    drawn = _geometry(loaded, [shape.shown for shape in shapes])
+    return Bodies(_geometry(loaded, shapes), drawn, tuple(movers), tuple(notes))
 
 
 def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:

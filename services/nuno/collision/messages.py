@@ -288,6 +288,7 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
 # Bodies on the bus: geometry once, poses per frame.
 
 GEOMETRY_QUERY = "collision/ask/geometry"
+DRAWN_QUERY = "collision/ask/drawn"
 POSES_QUERY = "collision/ask/poses"
 LIVE_BODIES_QUERY = "collision/ask/told"
 """Names of the queries; the reply about live bodies is JSON, `Followers.describe` by body."""

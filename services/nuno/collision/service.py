@@ -13,6 +13,7 @@ from nuno.collision.bodies import NO_SURFACES, Bodies, build_bodies, surface
 from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
 from nuno.collision.distance import Inside, least_distance, measure_inside
 from nuno.collision.messages import (
+    DRAWN_QUERY,
     GEOMETRY_QUERY,
     LIVE_BODIES_QUERY,
     POSES_QUERY,
@@ -173,6 +174,9 @@ class Collision:
         if query.name == GEOMETRY_QUERY:
             query.answer(encode_geometry(self.bodies.geometry))
             return
+        if query.name == DRAWN_QUERY:
+            query.answer(encode_geometry(self.bodies.drawn, whole=False))
+            return
         if query.name == LIVE_BODIES_QUERY:
             live = self.followers.describe() if self.followers is not None else {}
             query.answer_json({"bodies": self.bodies.geometry.bodies, "told": live})
@@ -256,7 +260,7 @@ class Collision:
             for note in self.bodies.notes:
                 self.context.event("warning", note, header.frame, header.t)
             self.context.bus.publisher(GEOMETRY).put(
-                encode_geometry(self.bodies.geometry, whole=False), header.frame, header.t
+                encode_geometry(self.bodies.drawn, whole=False), header.frame, header.t
             )
         self.context.bus.publisher(BODIES).put(self.poses(header.frame)[1], header.frame, header.t)
 
@@ -324,6 +328,7 @@ def main(context: Context) -> None:
     for fields in before_checkpoint(context.options.resume, [PENETRATION.name]):
         collision.note(Penetration.model_validate(fields))
     inbox.answer(GEOMETRY_QUERY)
+    inbox.answer(DRAWN_QUERY)
     inbox.answer(LIVE_BODIES_QUERY)
     inbox.answer(POSES_QUERY)
 

@@ -259,6 +259,8 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
     for i, field in enumerate(shape.fields):
         check_field(f"fields[{i}]", field)
     check_skins(shape)
+    if shape.drawn is not None:
+        check_skins(shape.shown)
     if shape.pose is not None and (mover is None or not callable(shape.pose)):
         raise ContractError("pose is no function" if mover is not None else "pose is one of a body without a motion")
 

@@ -18,7 +18,7 @@ from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
-from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
+from nuno.collision.messages import DRAWN_QUERY, POSES_QUERY, decode_geometry, decode_poses
 from nuno.exports.cloth import colour_of
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
@@ -290,7 +290,7 @@ class Follower:
         if self._bodies is None:
             geometry = None
             with contextlib.suppress(RunFailed, BadMessage):  # a scene without bodies has no such service
-                geometry = decode_geometry(self._bus.ask(GEOMETRY_QUERY, timeout=ASK))
+                geometry = decode_geometry(self._bus.ask(DRAWN_QUERY, timeout=ASK))
             self._bodies = draw_bodies(geometry, size_of(sight.x))
         if len(self._bodies.faces):
             request = json.dumps({"frame": sight.frame}).encode()
