@@ -575,7 +575,7 @@ def test_recordings_share_a_layout_where_their_scenes_show_the_same(tmp_path: Pa
 def test_a_runs_file_has_the_report_of_its_recording_but_for_its_own_frames(dyed: bool, tmp_path: Path) -> None:
     scene = (dye_scene.write_scene if dyed else write_scene)(tmp_path)
     record, saved = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    assert main(["run", str(scene), "--record", str(record), "--save", str(saved)]) == 0
+    assert main(["run", str(scene), "--record", str(record), "--save", str(saved), "--no-view"]) == 0
     (texts,) = columns(saved, "TextDocument:text")["/report"]
     rows = [row[2:-2].split(" | ") for row in texts[0].splitlines()[2:]]
     with open_recording(record) as recording:
