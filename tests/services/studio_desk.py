@@ -58,9 +58,10 @@ def look(page: Page, server: Server, place: str, ready: str) -> None:
 
 
 def look_at_scene(page: Page, server: Server, name: str = FILE) -> None:
-    """Open a scene, until it is checked."""
+    """Open a scene with its text and form, until it is checked."""
     place = f"#scene={name.replace('/', '%2F')}"
     look(page, server, place, f"nuno.scene?.name === '{name}' && document.getElementById('verdict')?.textContent")
+    page.value("nuno.scene.side('text')")
 
 
 @contextmanager

@@ -90,7 +90,7 @@ def test_the_view_is_turned_by_mouse_and_keys_and_coloured_by_stretch(page: Page
     page.press("s")
     assert page.value("!document.querySelector('.scale').hidden")
     page.press("l")
-    assert page.value("document.querySelector('.side.text').offsetParent === null")
+    assert page.value("document.querySelector('.text').offsetParent === null")
     page.press("l")
 
 

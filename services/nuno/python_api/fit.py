@@ -36,6 +36,13 @@ def read_fits(
     heights [m] are above the body's lowest point, by name, and override the body's own. Raises BadInput for a recording
     without such a body, or without a garment of measured fabric.
     """
+    return [fit for fit, _ in map_fits(recording, frame, body, heights)]
+
+
+def map_fits(
+    recording: Recording, frame: int | None = None, body: str | None = None, heights: dict[str, float] | None = None
+) -> list[tuple[Fit, FitMap]]:
+    """Measure the fit of each garment as `read_fits` does, and how it varies over the garment. Raises BadInput."""
     numbers = sorted(number for number, _ in recording.marks().values())
     if not numbers:
         raise BadInput("the recording holds no frames", str(recording.path))
@@ -50,12 +57,36 @@ def read_fits(
     if not fits:
         problem = "no garment of a measured fabric, whose triangles were cut"
         raise BadInput(problem, str(recording.path), remedy=MEASURED)
-    return [replace(fit, girths=[replace(one, height=one.height - floor) for one in fit.girths],
-                    openings=[replace(one, low=one.low - floor, high=one.high - floor) for one in fit.openings])
-            for fit in fits]  # fmt: skip
+    return [(replace(fit, girths=[replace(one, height=one.height - floor) for one in fit.girths],
+                     openings=[replace(one, low=one.low - floor, high=one.high - floor) for one in fit.openings]), over)
+            for fit, over in fits]  # fmt: skip
 
 
-def _fit(piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float], normals: Float) -> Fit | None:
+@dataclass(frozen=True)
+class FitMap:
+    """Pressure on the body [Pa], 0 where none is touched, and the larger strain of warp and weft, both (n,), of the
+    vertices from `start` on; strain is the mean over each vertex's triangles by area, NaN without a triangle.
+    """
+
+    start: int
+    pressure: Float
+    strain: Float
+
+
+def _map(start: int, x: Float, membrane: Membrane, outwards: Float) -> FitMap:
+    """Return the map of a garment at x (n, 3) [m] with the forces `outwards` (n,) [N] on its vertices."""
+    corners, thirds = membrane.faces.reshape(-1), np.repeat(membrane.area / 3.0, 3)
+    area = np.bincount(corners, thirds, len(x))
+    strain = np.maximum(*_yarn_strains(x, membrane).values())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.bincount(corners, thirds * np.repeat(strain, 3), len(x)) / area
+        pressure = np.where(area > 0.0, np.maximum(outwards, 0.0) / area, 0.0)
+    return FitMap(start, pressure, mean)
+
+
+def _fit(
+    piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float], normals: Float
+) -> tuple[Fit, FitMap] | None:
     """Measure the fit of a piece; None for a piece without a membrane."""
     fabric, forces, start, stop = moment.fabric, moment.forces, piece.start, piece.stop
     if fabric is None or forces is None or fabric.membrane is None:
@@ -78,7 +109,8 @@ def _fit(piece: ShownPiece, moment: FrameState, mesh: Mesh, at: dict[str, float]
     left = fabric.mass[start:stop, None] * forces.acceleration[start:stop]  # 0 for held vertices
     size, over = (float(np.linalg.norm(one, axis=1).sum()) for one in (force, left))
     over = over / size if size > 0.0 else 0.0
-    return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams)
+    outwards = (force * normals[start:stop]).sum(axis=1)
+    return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams), _map(start, x, membrane, outwards)
 
 
 def _normals(mesh: Mesh, closest: Any) -> Float:
@@ -369,11 +401,16 @@ def _girth(name: str, height: float, x: Float, membrane: Membrane, corners: Floa
 
 
 def _strains(x: Float, membrane: Membrane) -> dict[str, Spread]:
+    return {name: _spread(strain, membrane.area) for name, strain in _yarn_strains(x, membrane).items()}
+
+
+def _yarn_strains(x: Float, membrane: Membrane) -> dict[str, Float]:
+    """Return the strains along warp and weft of each triangle, (t,)."""
     a, b, c = np.take(x, membrane.faces.T, axis=0)
     strains = {}
     for name, yarns in (("warp", membrane.along), ("weft", membrane.across)):
         stretched = yarns[:, :1] * (b - a) + yarns[:, 1:] * (c - a)
-        strains[name] = _spread(np.linalg.norm(stretched, axis=1) - 1.0, membrane.area)
+        strains[name] = np.linalg.norm(stretched, axis=1) - 1.0
     return strains
 
 

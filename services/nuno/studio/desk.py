@@ -23,6 +23,7 @@ from nuno.studio.cloth import Starts
 from nuno.studio.dropped_files import MOST
 from nuno.studio.dye import Dyed, cloth_of, worn
 from nuno.studio.files import FILE_ACTS, Files
+from nuno.studio.fit import Fits
 from nuno.studio.lines import Drawing
 from nuno.studio.processes import Child, Workshop
 from nuno.studio.recordings import Recordings, run_of
@@ -164,6 +165,8 @@ class Desk:
         remedy = "run it, or make its triangles or cells larger"
         self._previews = Workshop("building the cloth for a look", LOOKS[0], remedy, LOOKS[1])
         self._plans = Workshop("planning", PLANS, "run it; its first frame is what takes long")
+        self._measures = Workshop("measuring the fit", PLANS, "nuno fit has no such limit")
+        self._fits = Fits(self.recordings, self._measures)
         self._starts, self._dyed_cloth = Starts(self._previews), Dyed(self._previews)
         self._drawing = Drawing(self._starts)
         self._starting = threading.Lock()
@@ -212,12 +215,14 @@ class Desk:
             answer = getattr(self.screen, name)(request)
         elif name in FILE_ACTS:
             answer = getattr(self.files, name)(request)
+        elif name == "fit":
+            answer = self._fits.fit(request)
         elif name == "export":
             answer = self.exports.export(request)
         elif name in ACTS:
             answer = getattr(self, f"_{name}")(request)
         else:
-            names = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
+            names = *ACTS, "recordings", "fit", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
             raise BadInput("no such request", value=name, limit=", ".join(names))
         return answer
 
@@ -228,6 +233,7 @@ class Desk:
                 self._own.close()
             self._previews.close()
             self._plans.close()
+            self._measures.close()
             self.screen.close()
             self.recordings.close()
             self.exports.close()

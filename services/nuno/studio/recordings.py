@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from nuno.formatting import duration
 from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
 from nuno.report.run_report import recorded_lines
-from nuno.runtime import log, runs
+from nuno.runtime import log, outcome, runs
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import restored_scene
 from nuno.studio.processes import Child
@@ -20,6 +21,8 @@ PICTURE = ".png"
 WHOLE = ".mcap"
 PART = part_of(Path(WHOLE)).name
 """Endings of the names of recordings: of finished ones, and of unfinished ones."""
+DEEP = 1e-4
+"""Depth in a body from which on it is said at the end of a run [m]."""
 
 
 class Recordings:
@@ -59,13 +62,16 @@ class Recordings:
         return {facts["scene"]: facts["name"] for facts in newest}
 
     def open(self, name: object) -> dict[str, Any]:
-        """Return the rows of a recording's report, its gaps, and whether it is of dye alone. Raises BadInput."""
+        """Return the rows of a recording's report, first what a maker asks; its gaps, and whether it is of dye alone.
+
+        Raises BadInput.
+        """
         path = self.find(name)
         with open_recording(path) as recording:
             report, lacks = recording.report(), shortcoming(recording)
-            rows, dyed = recorded_lines(report), recording.dyed_alone
+            rows, dyed, ends = recorded_lines(report), recording.dyed_alone, _ends(report)
         (facts,) = (one for one in self.list() if one["name"] == name)
-        return facts | {"rows": rows, "lacks": lacks or "", "dyed": dyed}
+        return facts | {"rows": rows, "ends": ends, "lacks": lacks or "", "dyed": dyed}
 
     def draw(self, name: object) -> dict[str, Any]:
         """Draw the last frame in another process; return whether it is still drawing, and its error if it failed."""
@@ -127,6 +133,20 @@ class Recordings:
 def run_of(name: str) -> str:
     """Return the name of a recording's run."""
     return name.removesuffix(PART).removesuffix(WHOLE)
+
+
+def _ends(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what a maker asks at the end of a run: whether anything crosses, and how long it took."""
+    try:
+        facts, wall, prepared = report.get("cloth_contact"), report["wall_seconds"], report["prepare_seconds"]
+        crosses = outcome.problem(facts) or (facts and "nothing: cloth passes through neither cloth nor body")
+        deep = report["last_penetration"] or 0.0
+        inside = f"; cloth is {1e3 * deep:.2g} mm deep in a body at the end" if deep > DEEP else ""
+        text = f"{crosses or 'not looked for: the scene has no cloth_contact'}{inside}"
+        took = f"{duration(wall + prepared)}, of which {duration(prepared)} to get ready"
+    except (LookupError, TypeError, ValueError, AttributeError):  # a report from elsewhere
+        return []
+    return [("Crosses", text), ("Took", f"{took}, for {duration(report['simulated_seconds'])} of cloth")]
 
 
 def _solver(scene: Mapping[str, Any]) -> str:

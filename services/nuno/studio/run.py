@@ -52,7 +52,7 @@ class Run:
         self._child, self._config = child, config
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.state, self.frame, self.t = "preparing", -1, 0.0
-        self._warning = ""
+        self._warning, self._begun = "", time.monotonic()
         self._progress: deque[tuple[float, float]] = deque(maxlen=10_000)
         self._bus: Bus | None = None
         self.live: Live | None = None
@@ -123,6 +123,7 @@ class Run:
             "frames": self.frames,
             "t": self.t,
             "end": self.end,
+            "waited": time.monotonic() - self._begun,
             "factor": self._factor() if self.state == "running" and code is None else None,
             "said": (self._child.said if self._child is not None else "") + self._warning,
         }

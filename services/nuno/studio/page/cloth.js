@@ -64,12 +64,12 @@ export class Cloth {
     this.scale = make("div", { className: "scale", hidden: true }, make("span", { textContent: "stretch 0.1 %" }), make("i"), make("span", { textContent: "100 %" }));
     this.scale.querySelector("i").style.background = gradient;
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas, this.flat,
-      make("div", { className: "tools" }, button("fit", "Fit", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
+      make("div", { className: "tools" }, button("fit", "Whole", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
         button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
         this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "",
         this.scene.large ? this.draft : "", this.back,
-        this.scene.large ? button("large", "Larger", "Hide text and form (key L)", () => this.scene.large()) : ""),
+        this.scene.large ? button("large", "Larger", "Hide what is chosen (key L)", () => this.scene.large()) : ""),
       this.draw.box, this.draw.labels, this.paint.box,
       make("div", { className: "below" }, this.said, this.scale, this.figures));
   }

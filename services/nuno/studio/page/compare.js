@@ -74,7 +74,7 @@ export class Compare {
     const tint = press("film-far", "Difference", "Colour both by how far each vertex is from the same one of the other", (e) => this.tint(e.currentTarget));
     tint.setAttribute("aria-pressed", "true");
     this.view.append(make("section", { className: "panel theater", ariaLabel: "Both" }, make("div", { className: "pair" }, ...this.screens.map((one) => one.box)),
-      make("div", { className: "below" }, press("film-fit", "Fit", "The whole cloth", () => this.screens[0].stage.fit()), tint, this.bar.box, this.now), this.player.box));
+      make("div", { className: "below" }, press("film-fit", "Whole", "The whole cloth", () => this.screens[0].stage.fit()), tint, this.bar.box, this.now), this.player.box));
     for (const screen of this.screens) screen.colour("far", 0);
   }
 

@@ -13,7 +13,7 @@ const OWN = "\u0000own";
 /** One field: its name, what is written there, what it means, and what may be written. */
 export class Entry {
   constructor(form, field, value, path, required, label) {
-    Object.assign(this, { form, field, value, path, required, label, id: `field:${dotted(path)}` });
+    Object.assign(this, { form, field, value, path, required, label, id: `${form.prefix}field:${dotted(path)}` });
     this.row = make("div", { className: value === undefined && !required ? "field unwritten" : "field" });
     this.row.dataset.path = dotted(this.mapping && field.kind === "choice" ? [...path, field.key] : path);
     const control = this.control(), parts = (this.apart ? [] : [control, this.unit(), this.reset()]).filter(Boolean);
@@ -23,8 +23,8 @@ export class Entry {
     if (control?.slide) control.after(control.slide);
     if (control?.swatches) this.row.append(control.swatches);
     if (!this.help) return;
-    this.row.append(make("p", { className: "help", id: `help:${dotted(path)}`, textContent: this.help }));
-    if (parts.length) control?.setAttribute("aria-describedby", `help:${dotted(path)}`);
+    this.row.append(make("p", { className: "help", id: `help:${this.id}`, textContent: this.help }));
+    if (parts.length) control?.setAttribute("aria-describedby", `help:${this.id}`);
   }
 
   /** Whether the value is a mapping, whose fields stand below. */
@@ -46,7 +46,7 @@ export class Entry {
 
   reset() {
     if (this.required || this.value === undefined) return null;
-    return make("button", { type: "button", id: `drop:${dotted(this.path)}`, className: "reset", textContent: "✕", title: "Take it out of the text", ariaLabel: `Take ${this.label} out of the text`,
+    return make("button", { type: "button", id: `${this.form.prefix}drop:${dotted(this.path)}`, className: "reset", textContent: "✕", title: "Take it out of the text", ariaLabel: `Take ${this.label} out of the text`,
       onclick: () => this.form.change({ path: this.path, drop: true }) });
   }
 

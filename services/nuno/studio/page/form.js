@@ -9,7 +9,7 @@ const SECTIONS = ["group", "choice", "preset"];
 export class Form {
   /** change({path, value | written | drop}) asks for a change of the text; look(path) is told which field is at hand. */
   constructor(box, schema, change, look) {
-    Object.assign(this, { box, schema, change, look, whole: new Set(), folded: new Set(), data: {}, mistakes: [] });
+    Object.assign(this, { box, schema, change, look, prefix: "", whole: new Set(), folded: new Set(), data: {}, mistakes: [] });
     box.addEventListener("focusin", (e) => { const row = e.target.closest("[data-path]"); if (row) look(row.dataset.path); });
   }
 
@@ -155,7 +155,7 @@ export class Form {
       const row = path && rows.get(path);
       if (!row) continue;
       const words = wordsOf(mistake), control = row.querySelector("input, select");
-      words.id = `mistake:${this.placed.size}`;
+      words.id = `${this.prefix}mistake:${this.placed.size}`;
       control?.setAttribute("aria-describedby", [words.id, control.getAttribute("aria-describedby")].filter(Boolean).join(" "));
       row.append(words);
       this.placed.add(mistake);

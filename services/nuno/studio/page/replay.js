@@ -45,7 +45,7 @@ export class Replay {
     this.player = new Player(times, [reel], (i) => this.show(i));
     this.bar = new Bar("stretch-scale", "stretch 0.1 %", "100 %");
     const { stage, canvas } = this.screen;
-    this.screen.box.append(make("div", { className: "tools" }, press("film-fit", "Fit", "The whole cloth (key F)", () => stage.fit()),
+    this.screen.box.append(make("div", { className: "tools" }, press("film-fit", "Whole", "The whole cloth (key F)", () => stage.fit()),
       press("film-mesh", "Triangles", "Key M", (e) => { stage.wires = !stage.wires; e.currentTarget.setAttribute("aria-pressed", String(stage.wires)); stage.dirty(); }),
       press("film-stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", (e) => this.stretch(e.currentTarget))), this.bar.box);
     this.theater.append(this.screen.box);

@@ -3,6 +3,7 @@ import { Cloth } from "./cloth.js";
 import { download, make, sentence } from "./dom.js";
 import { dock } from "./dock.js";
 import { Form, wordsOf } from "./form.js";
+import { Maker } from "./maker.js";
 import { rowsOf } from "./rows.js";
 import { confirm, taken, toast } from "./say.js";
 import { Schema } from "./schema.js";
@@ -35,9 +36,11 @@ export class SceneView {
     this.build();
     this.text = new Text(this.view.querySelector(".editor"), () => this.typed());
     this.form = new Form(this.view.querySelector(".fields"), read, (what) => this.change(what), (path) => this.look(path));
+    this.maker = new Maker(this.view.querySelector(".choices"), read, (what) => this.change(what), (path) => this.look(path));
     this.text.open(answer.text);
     if (answer.changed !== null) this.text.set(answer.changed);
     this.take(answer);
+    if (this.own) this.maker.list();
     this.view.addEventListener("line", (e) => { this.side("text"); this.text.go(e.detail); });
     const weave = handed.get(this.name);
     if (!weave) return;
@@ -51,36 +54,48 @@ export class SceneView {
     const side = (which, textContent) => button(`side-${which}`, textContent, () => this.side(which));
     this.box = make("div", { className: "scene" },
       make("div", { className: "head" }, make("h1", { textContent: this.name }), make("span", { id: "unsaved", className: "unsaved", role: "status" }),
-        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("text", "Text"), side("form", "Form"), side("cloth", "Cloth")),
+        make("span", { className: "switch", role: "group", ariaLabel: "What is shown" }, side("cloth", "Cloth"), side("choices", "Choices"), side("text", "Text"), side("form", "Form")),
         make("span", { className: "group" },
           button("undo", "Undo", () => this.text.undo(), { title: "Ctrl Z" }), button("redo", "Redo", () => this.text.redo(), { title: "Ctrl Shift Z" }),
           ...(this.own ? [button("save", "Save", () => this.save(), { title: "Ctrl S" })] : []),
           button(this.own ? "save-as" : "save", "Save as …", () => this.save({ as: true }), this.own ? { title: "Under another name" } : { title: "Ctrl S" }),
-          button("plan", "Plan", () => this.plan(), { title: "What will run, what is left out, the stable step, the cost" }),
-          button("run-step", "Step", () => this.run(true), { title: "Start a run that waits after its first frame" }),
           button("run", "Run", () => this.run(false), { className: "main", title: "Ctrl Enter" }))),
-      make("div", { className: "sides" },
-        make("section", { className: "side text", ariaLabel: "Text" },
-          make("div", { className: "editor" }, make("div", { className: "gutter", ariaHidden: "true" }), make("textarea", { id: "text", spellcheck: false, wrap: "off", ariaLabel: "The scene as YAML" })),
-          make("div", { className: "verdict", role: "status", id: "verdict" })),
-        make("section", { className: "side form", ariaLabel: "Form" }, make("div", { className: "fields" })),
-        this.cloth.box),
+      make("div", { className: "sides" }, this.cloth.box,
+        make("section", { className: "side maker", ariaLabel: "Garment and body" },
+          make("div", { className: "choices" }),
+          this.advanced = make("details", { id: "advanced", ontoggle: () => this.opened() }, make("summary", { textContent: "Advanced", title: "The scene as text, solver, step, seed and all other fields" }),
+            make("div", { className: "group" },
+              button("plan", "Plan", () => this.plan(), { title: "What will run, what is left out, the stable step, the cost" }),
+              button("run-step", "Step", () => this.run(true), { title: "Start a run that waits after its first frame" })),
+            make("div", { className: "both" },
+              make("section", { className: "text", ariaLabel: "Text" },
+                make("div", { className: "editor" }, make("div", { className: "gutter", ariaHidden: "true" }), make("textarea", { id: "text", spellcheck: false, wrap: "off", ariaLabel: "The scene as YAML" }))),
+              make("section", { className: "form", ariaLabel: "Form" }, make("div", { className: "fields" })))),
+          make("div", { className: "verdict", role: "status", id: "verdict" }))),
       make("div", { className: "panel plan", id: "planned", hidden: true }));
     this.view.replaceChildren(this.box);
-    this.side("text");
+    this.side("cloth");
+    this.advanced.open = localStorage.getItem("advanced") === "open";
+  }
+
+  /** Text and form, which a browser shows again to whoever has left them open. */
+  opened() {
+    localStorage.setItem("advanced", this.advanced.open ? "open" : "");
+    if (["text", "form"].includes(this.box.dataset.side) !== this.advanced.open && this.box.dataset.side !== "cloth") this.side(this.advanced.open ? "text" : "choices");
   }
 
   /** In a narrow window, which side is shown. */
   side(which) {
     this.box.dataset.side = which;
-    for (const one of ["text", "form", "cloth"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
+    if (which !== "cloth") this.advanced.open = which !== "choices";
+    for (const one of ["cloth", "choices", "text", "form"]) document.getElementById(`side-${one}`).setAttribute("aria-pressed", String(one === which));
   }
 
   /** Only the cloth, or text and form beside it. */
   large(large = this.box.dataset.large !== "true") {
     this.box.dataset.large = String(large);
     const button = document.getElementById("cloth-large");
-    Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "Text and form beside it (key L)" : "Hide text and form (key L)" });
+    Object.assign(button, { textContent: large ? "Smaller" : "Larger", title: large ? "What is chosen beside it (key L)" : "Hide what is chosen (key L)" });
   }
 
   close() { this.cloth?.close(); this.unplan(); }
@@ -115,6 +130,7 @@ export class SceneView {
     Object.assign(this, { data, lines, mistakes, checked: this.text.value });
     this.text.mark(mistakes.map(({ line }) => line).filter(Boolean));
     this.form.show(data, mistakes, keep);
+    this.maker.show(data, mistakes, keep);
     const verdict = document.getElementById("verdict"), first = mistakes.find(({ line }) => line);
     verdict.replaceChildren(make("span", { className: mistakes.length ? "bad" : "good", textContent: mistakes.length ? count(mistakes.length, "mistake") : "No mistakes" }));
     if (first) verdict.append(make("button", { type: "button", className: "link", id: "first", textContent: `Go to line ${first.line}`, onclick: () => { this.text.go(first.line); this.form.reveal(first); } }));
