@@ -15,7 +15,7 @@ from sewing_patterns import column, moved, panel, pattern, read_pattern, stitch,
 
 from nuno.cli.fit import describe
 from nuno.collision.bodies import outlines
-from nuno.python_api.fit import cut, find_heights, measure, measure_pressure, measure_seams, trunk
+from nuno.python_api.fit import cut, find_heights, map_fit, measure, measure_pressure, measure_seams, trunk
 from nuno.scene.files import SceneFiles
 from nuno_cloth.models.pattern import Pattern, PatternConfig
 from nuno_cloth.sewing.sew import sew
@@ -188,6 +188,20 @@ def test_pressure_is_force_over_the_area_of_cloth() -> None:
     assert (pressed.mean, pressed.high) == pytest.approx((250.0, 250.0))
     assert pressed.area == pytest.approx(1.3 * 0.4) and pressed.force == pytest.approx(250.0 * 1.3 * 0.4)
     assert measure_pressure(membrane, -force, normal).area == 0.0
+
+
+def test_a_map_of_the_fit_has_the_strain_of_each_vertex_and_the_pressure_of_its_force() -> None:
+    """A tube that is worn 20 % longer, and round a smaller body: the larger strain is the warp's, in each vertex; the
+    pressure times area is the force, and a pull outwards presses with nothing.
+    """
+    x, membrane = worn_tube(2.0 * AROUND * 0.2 * np.sin(np.pi / AROUND), 0.4, 0.2, stretch=1.2)
+    area = np.bincount(membrane.faces.reshape(-1), np.repeat(membrane.area / 3.0, 3), len(x))
+    outwards = np.where(x[:, 1] > 0.2, 80.0 * area, -3.0)
+    over = map_fit(7, x, membrane, outwards)
+    assert over.start == 7 and over.strain == pytest.approx(0.2, abs=1e-9)
+    assert over.pressure == pytest.approx(np.where(x[:, 1] > 0.2, 80.0, 0.0))
+    alone = map_fit(0, np.concatenate([x, [[9.0, 9.0, 9.0]]]), membrane, np.ones(len(x) + 1))
+    assert np.isnan(alone.strain[-1]) and alone.pressure[-1] == 0.0
 
 
 def test_heights_of_a_body_are_where_a_tape_finds_its_girths(shared_data: Path) -> None:

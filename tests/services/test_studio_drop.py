@@ -5,13 +5,18 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
+import nuno
+from nuno.python_api.fit import map_fits
+from nuno.report.fit_report import tables
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server
+from nuno_schemas.errors import BadInput
 
 pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
@@ -66,6 +71,48 @@ def test_from_a_body_and_a_pattern_to_a_running_drape_in_few_clicks(
     page.wait("nuno.dock.now.state === 'over'", PATIENCE)
     scene = scene_file.read(Path("shirt-worn.yaml")).scene
     assert [body.name for body in scene.bodies] == ["wearer"] and [one.name for one in scene.objects] == ["shirt"]
+
+
+def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
+    page: Page, served: tuple[Desk, Server], shared_data: Path
+) -> None:
+    """The table is that of nuno fit, the maps are of the last frame, and the value under the mouse is theirs there."""
+    dropped(page, shared_data / "body-mean.obj")
+    dropped(page, shared_data / "patterns" / "shirt.json")
+    page.clicks = 0
+    page.tap("[data-file='shirt.json'] [data-offer='wear'] button")
+    page.wait("nuno.scene?.name === 'shirt-worn.yaml' && document.getElementById('verdict')?.textContent", PATIENCE)
+    assert page.value("document.getElementById('text').offsetParent === null")  # what a maker need not know
+    page.tap("#run")
+    page.wait("nuno.dock.now.state === 'over' && document.getElementById('to-fit')", 2 * PATIENCE)
+    page.tap("#to-fit")
+    page.wait("Boolean(nuno.run?.fit?.values)", PATIENCE)
+    assert page.clicks == 3
+    with nuno.open("last") as recording:
+        ((fit, over),) = map_fits(recording)
+        last = [frame.x for frame in recording.frames()][-1]
+    shown = page.value(
+        "[...document.querySelectorAll('#fit tr')].map((r) => [...r.children].map((c) => c.textContent))"
+    )
+    assert shown == [row for rows in tables(fit) for row in rows] and shown[1][0] == "bust"
+    assert page.value("[...nuno.run.fit.values.pressure]") == pytest.approx(over.pressure, rel=2e-3, abs=1e-3)
+    assert page.value("[...nuno.run.fit.values.stretch]") == pytest.approx(100.0 * over.strain, rel=2e-3, abs=1e-3)
+    x = np.array(page.value("[...nuno.run.screen.stage.cloth.x]")).reshape(-1, 3)
+    assert np.allclose(x + page.value("nuno.run.screen.frame.origin"), last, atol=1e-5)
+    page.click("map-pressure")
+    vertex = int(np.argmax(over.pressure * (last[:, 2] > last[:, 2].mean())))
+    seen = page.value(f"nuno.run.screen.stage.camera.project({x[vertex].tolist()})")
+    left, top = page.value("(({x, y}) => [x, y])(document.getElementById('film').getBoundingClientRect())")
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + seen["x"], y=top + seen["y"])
+    page.wait("!document.querySelector('.here').hidden")
+    value, unit = page.value("document.querySelector('.here').textContent").split()
+    assert unit == "Pa" and 0.3 * over.pressure[vertex] < float(value) <= 1.001 * over.pressure.max()
+    ticks = page.value("[...document.querySelectorAll('#map-scale b')].map((one) => Number(one.textContent))")
+    assert len(ticks) > 2 and np.allclose(np.diff(ticks), ticks[1] - ticks[0]) and ticks[-1] <= over.pressure.max()
+    # Nothing of it goes on, and a body that is not there is said.
+    assert served[0].act({"do": "fit", "recording": page.value("nuno.run.name")})["garments"][0]["name"] == "shirt"
+    with pytest.raises(BadInput, match="no such body"):
+        served[0].act({"do": "fit", "recording": page.value("nuno.run.name"), "body": "nobody"})
 
 
 def test_files_are_added_by_keyboard_and_what_is_none_is_refused(

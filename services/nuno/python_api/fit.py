@@ -73,7 +73,7 @@ class FitMap:
     strain: Float
 
 
-def _map(start: int, x: Float, membrane: Membrane, outwards: Float) -> FitMap:
+def map_fit(start: int, x: Float, membrane: Membrane, outwards: Float) -> FitMap:
     """Return the map of a garment at x (n, 3) [m] with the forces `outwards` (n,) [N] on its vertices."""
     corners, thirds = membrane.faces.reshape(-1), np.repeat(membrane.area / 3.0, 3)
     area = np.bincount(corners, thirds, len(x))
@@ -110,7 +110,7 @@ def _fit(
     size, over = (float(np.linalg.norm(one, axis=1).sum()) for one in (force, left))
     over = over / size if size > 0.0 else 0.0
     outwards = (force * normals[start:stop]).sum(axis=1)
-    return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams), _map(start, x, membrane, outwards)
+    return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams), map_fit(start, x, membrane, outwards)
 
 
 def _normals(mesh: Mesh, closest: Any) -> Float:

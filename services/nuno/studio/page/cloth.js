@@ -9,7 +9,8 @@ import { Lines } from "./lines.js";
 import { follow, frameOf } from "./link.js";
 import { Paint } from "./paint.js";
 import { toast } from "./say.js";
-import { colours, gradient, stretched } from "./scale.js";
+import { colours, DECADES, stretched } from "./scale.js";
+import { Bar } from "./screen.js";
 import { factor } from "./words.js";
 
 /** How long a text stays as it is [ms] until its cloth is built. */
@@ -61,8 +62,7 @@ export class Cloth {
     this.figures = make("span", { className: "figures", id: "cloth-figures" });
     this.back = button("back", "Back to start", "The cloth as the text has it", () => { this.live = ""; this.built = null; this.update(); });
     this.draft = button("weave", "Weave", "Draw another weave for this cloth (key W)", () => this.weave());
-    this.scale = make("div", { className: "scale", hidden: true }, make("span", { textContent: "stretch 0.1 %" }), make("i"), make("span", { textContent: "100 %" }));
-    this.scale.querySelector("i").style.background = gradient;
+    this.scale = new Bar("cloth-scale", "stretch", "", DECADES).box;
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas, this.flat,
       make("div", { className: "tools" }, button("fit", "Whole", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),

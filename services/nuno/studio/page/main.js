@@ -39,7 +39,7 @@ async function leaves(scene) {
   return said === other || (said === true && scene.save({ leaving: true }));
 }
 
-/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, compare=NAME,NAME, files, weave=NAME of a draft or of the scene that it is for. */
+/** Where the address points: scenes, scene=NAME, draw=NAME for lines on its cloth, runs, run=NAME, fit=NAME, compare=NAME,NAME, files, weave=NAME of a draft or of the scene that it is for. */
 async function route() {
   if (asking || (location.hash || "#scenes") === shown) return;
   if (scene?.unsaved) {
@@ -58,7 +58,7 @@ async function route() {
   scene?.close();
   run?.close();
   scene = run = null;
-  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "compare"]], ["to-files", ["files", "weave"]]]) {
+  for (const [id, own] of [["to-scenes", ["scenes", "scene", "draw"]], ["to-runs", ["runs", "run", "fit", "compare"]], ["to-files", ["files", "weave"]]]) {
     if (own.includes(what)) document.getElementById(id).setAttribute("aria-current", "page");
     else document.getElementById(id).removeAttribute("aria-current");
   }
@@ -74,7 +74,7 @@ async function route() {
   }
   else if (what === "runs") await recordings(view);
   else if (what === "files") await files(view);
-  else if (what === "run") { run = new Replay(name); await recording(view, name, run); }
+  else if (what === "run" || what === "fit") { run = new Replay(name, what === "fit"); await recording(view, name, run); }
   else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
   else await gallery(view);
   if (shown !== hash) return;

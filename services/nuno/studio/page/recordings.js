@@ -45,13 +45,15 @@ export async function recording(view, name, replay) {
   const picture = make("div"), verdict = make("pre", { id: "verdict", role: "status" });
   const verify = make("button", { type: "button", id: "verify", textContent: "Verify", title: "Simulate it again, and compare each frame to the last bit", onclick: () => compare(name, verify, verdict, "verify") });
   view.replaceChildren(
-    make("div", { className: "head" }, make("h1", { textContent: name }), make("span", { className: "group" }, goingOn(name), verify, remover(name))),
+    make("div", { className: "head" }, make("h1", { textContent: name }), tabs(name, replay.fits), make("span", { className: "group" }, goingOn(name), verify, remover(name))),
     make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
-    exporter(name, answer.dyed),
-    verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows))));
+    ...(replay.fits ? [replay.box] : [exporter(name, answer.dyed), verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows)))]));
+  if (replay.fits) { await replay.open(); return; }
   compare(name, verify, verdict, "verdict");
   await Promise.all([replay.open(), showPicture(picture, name)]);
 }
+
+const tabs = (name, fits) => make("nav", { ariaLabel: "What is shown of it" }, ...[["run", "Replay"], ["fit", "Fit"]].map(([what, textContent]) => make("a", { href: `#${what}=${encodeURIComponent(name)}`, textContent, ...((what === "fit") === fits ? { ariaCurrent: "page" } : {}) })));
 
 /** Go on from the last checkpoint, as a run of its own. */
 function goingOn(name) {

@@ -1,8 +1,10 @@
 import { ask } from "./ask.js";
 import { make, sentence } from "./dom.js";
+import { Fit } from "./fit.js";
 import { Player } from "./player.js";
 import { Plot } from "./plot.js";
 import { Reel } from "./reel.js";
+import { DECADES } from "./scale.js";
 import { Bar, Picture, Screen } from "./screen.js";
 
 /** A text as a switch that a button is. */
@@ -10,8 +12,9 @@ export const press = (id, textContent, title, does) => make("button", { type: "b
 
 /** One recording: its cloth and bodies at any frame, and its series over time. */
 export class Replay {
-  constructor(name) {
-    this.name = name;
+  /** fits: only its last frame, and how garments fit there. */
+  constructor(name, fits = false) {
+    Object.assign(this, { name, fits });
     this.said = make("div", { id: "film-said", role: "status" });
     this.theater = make("div", { className: "panel theater", hidden: true });
     this.plots = make("div", { className: "plots", id: "plots" });
@@ -33,8 +36,18 @@ export class Replay {
     if (answer.dyed) { this.screen = new Picture(answer.film); this.theater.append(this.screen.box); }
     this.player ??= new Player(answer.times, [], (i) => this.show(i));
     this.player.onlost = (text) => this.say(text);
-    this.theater.append(this.player.box);
     this.theater.hidden = false;
+    if (this.fits) {
+      await this.player.go(answer.times.length - 1);
+      if (!this.screen?.stage) { this.say("There is no cloth that moves, and so nothing that fits"); return; }
+      this.fit = new Fit(this.name, this.screen);
+      this.theater.classList.add("fitting");
+      this.theater.append(this.fit.box);
+      for (const one of [this.bar.box, document.getElementById("film-stretch")]) one.remove();
+      await this.fit.open();
+      return;
+    }
+    this.theater.append(this.player.box);
     await this.player.go(0);
     this.plot(answer.film);
   }
@@ -43,7 +56,7 @@ export class Replay {
     const reel = new Reel(film, times.length);
     this.screen = new Screen(reel);
     this.player = new Player(times, [reel], (i) => this.show(i));
-    this.bar = new Bar("stretch-scale", "stretch 0.1 %", "100 %");
+    this.bar = new Bar("stretch-scale", "stretch", "", DECADES);
     const { stage, canvas } = this.screen;
     this.screen.box.append(make("div", { className: "tools" }, press("film-fit", "Whole", "The whole cloth (key F)", () => stage.fit()),
       press("film-mesh", "Triangles", "Key M", (e) => { stage.wires = !stage.wires; e.currentTarget.setAttribute("aria-pressed", String(stage.wires)); stage.dirty(); }),
@@ -51,7 +64,7 @@ export class Replay {
     this.theater.append(this.screen.box);
     canvas.addEventListener("keydown", (e) => {
       const id = !e.ctrlKey && !e.metaKey && !e.altKey && { f: "film-fit", m: "film-mesh", s: "film-stretch" }[e.key.toLowerCase()];
-      if (id) { e.preventDefault(); document.getElementById(id).click(); }
+      if (id) { e.preventDefault(); document.getElementById(id)?.click(); }
     });
   }
 

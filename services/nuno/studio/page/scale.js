@@ -4,6 +4,8 @@ const CONTROL = [
 const MISSING = [0.604, 0.604, 0.604], STEPS = 256;
 /** Ends of the scale of stretch, logarithmic: those of pictures and of the viewer. */
 export const STRETCH = [0.001, 1];
+/** Where on that scale whole powers of ten are. */
+export const DECADES = ["0.1 %", "1 %", "10 %", "100 %"].map((text, i) => [i / 3, text]);
 
 export const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16) / 255);
 

@@ -25,15 +25,18 @@ export class Screen {
     this.placed = frame.body;
     known.colours = same ? undefined : frame.colours;
     stage.show(known);
-    if (this.by || !same) this.paint();
+    if (this.by || this.mapped || !same) this.paint();
   }
 
   /** Colour by "stretch", "far" or, with "", as the scene has it. */
   colour(by, most = this.most) { this.by = by; this.most = most; if (this.frame) this.paint(); }
 
+  /** Colour by values of vertices from 0 to 1, NaN for none; null for the scene's own colours. */
+  map(values) { this.mapped = values; if (this.frame) this.paint(); }
+
   paint() {
     const { frame } = this;
-    let found = frame.colours;
+    let found = this.mapped ? colours(this.mapped) : frame.colours;
     if (this.by === "stretch") found = colours(stretched(frame));
     if (this.by === "far" && frame.far) found = colours(frame.far.map((value) => value / (this.most || 1)));
     this.stage.colour(found);
@@ -64,12 +67,12 @@ export class Picture {
   close() { this.wanted = this.index; }
 }
 
-/** A bar with the scale's colours between what its ends stand for. */
+/** A bar with the scale's colours between what its ends stand for, and below it numbers at their shares of it. */
 export class Bar {
-  constructor(id, low, high) {
+  constructor(id, low, high, ticks = []) {
     this.low = make("span", { textContent: low });
     this.high = make("span", { textContent: high });
-    const bar = make("i");
+    const bar = make("i", { className: ticks.length ? "ticked" : "" }, ...ticks.map(([at, textContent]) => make("b", { textContent, style: `left: ${100 * at}%` })));
     bar.style.background = gradient;
     this.box = make("div", { className: "scale", id, hidden: true }, this.low, bar, this.high);
   }

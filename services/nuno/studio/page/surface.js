@@ -54,6 +54,9 @@ export class Surface {
     return [0, 1, 2].map((k) => w * values[a + k] + u * values[b + k] + v * values[c + k]);
   }
 
+  /** The mean of a face's corners at a place { face, u, v }, of one number for each vertex. */
+  mean({ face, u, v }, values) { return [1 - u - v, u, v].reduce((sum, share, k) => sum + share * values[this.faces[3 * face + k]], 0); }
+
   /** The nearest place [face, u, v] to a point (Ericson, Real-Time Collision Detection, 5.1.5). */
   nearest(p) {
     // A triangle lies within `reach` of its middle: those whose middles are too far are passed over.
