@@ -41,6 +41,7 @@ def write(page: Page, name: str, text: str) -> None:
 
 def rewrite(page: Page, text: str) -> None:
     """Type another text over the scene's."""
+    page.value("nuno.scene.side('text')")
     page.value("(t => { t.focus(); t.setSelectionRange(0, 1e6); })(document.getElementById('text'))")
     page.type(text)
     page.wait(f"{LIST} === {text!r} && nuno.scene.checked === {LIST}")

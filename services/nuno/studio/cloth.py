@@ -31,7 +31,7 @@ LEAVE = 2.0
 """Time without a viewing page after which a run is no longer followed [s]: a viewing page asks again at once."""
 AGAIN = 0.5
 """Wait of a page before it asks again for a run that could not be followed [s]."""
-NO_COLOURS = "dye and textures are not shown here: the picture of a recording has them"
+NO_DYE = "dye is shown as it begins: the replay of a recording has it over time"
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,15 @@ class Starts:
         self.kept[number] = Start(loaded, Board(sight).now, fabric, objects)
         for old in sorted(self.kept)[:-MOST]:
             self.kept.pop(old, None)
-        painted = loaded.scene.dye is not None or any(piece.texture for piece in sight.pieces)
-        return {"number": number, "words": NO_COLOURS if painted else ""}
+        return {"number": number, "words": NO_DYE if loaded.scene.dye is not None else ""}
 
     def tell(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """Return the bytes of a start for the page. Raises Refused."""
         start = self.kept.get(whole(query, "number"))
         if start is None:
             raise Refused(NOT_FOUND, "this start is no longer kept")
+        if query.get("image"):
+            return "image/png", start.sight.image
         return "application/octet-stream", start.sight.encode(-1, -1)
 
 

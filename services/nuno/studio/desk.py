@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import re
 import shutil
 import tempfile
@@ -21,7 +22,7 @@ from nuno.scene.scene_file import Loaded
 from nuno.studio import dye, scenes
 from nuno.studio.cloth import Starts
 from nuno.studio.dropped_files import MOST
-from nuno.studio.dye import Dyed, cloth_of, worn
+from nuno.studio.dye import Dyed, cloth_of
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.fit import Fits
 from nuno.studio.lines import Drawing
@@ -51,7 +52,7 @@ class Exports:
     def __init__(self, recordings: Recordings) -> None:
         self._recordings = recordings
         self._folder = tempfile.TemporaryDirectory(prefix="nuno-")
-        self._made: dict[tuple[str, str], tuple[tuple[int, int], Child]] = {}
+        self._made: dict[tuple[str, str], tuple[tuple[tuple[int, int], list[str]], Child]] = {}
 
     @property
     def folder(self) -> Path:
@@ -63,14 +64,18 @@ class Exports:
         bytes, or its error. Raises BadInput.
         """
         path, kind = self._recordings.find(request.get("recording")), str(request.get("kind"))
+        flags = _flags(request) if kind in ("png", "mp4") else []
         if kind not in KINDS:
             raise BadInput("no such file can be made", value=kind, remedy=nearest(kind, KINDS))
-        stamp = stamp_of(path)
+        stamp = stamp_of(path), flags
         before = self._made.get((path.name, kind))
         going = before is not None and before[1].code is None  # the file may have grown since its start
+        if before is not None and going and before[0][1] != flags:
+            before[1].end()
+            going = False
         if before is None or (not going and (before[0] != stamp or (before[1].code and request.get("again")))):
             shutil.rmtree(self._file(path.name, kind).parent)  # a scene's files of an earlier recording of this name
-            child = Child(["export", str(path), f"--{kind}", str(self._file(path.name, kind)), "--progress"])
+            child = Child(["export", str(path), f"--{kind}", str(self._file(path.name, kind)), "--progress", *flags])
             before = self._made[path.name, kind] = (stamp, child)
         child = before[1]
         code, steps = child.code, FAR.findall(child.said)
@@ -111,6 +116,15 @@ class Exports:
         self._folder.cleanup()
 
 
+def _flags(request: Mapping[str, Any]) -> list[str]:
+    """Return the flags of `nuno export` for a requested frame, size and camera, each of which may be omitted."""
+    flags = [f"--{name}={request[name]}" for name in ("frame", "size") if name in request]
+    camera = request.get("camera")
+    for name, value in camera.items() if isinstance(camera, dict) else ():
+        flags.append(f"--set=view.{name}={json.dumps(value)}")
+    return flags
+
+
 # Swatches of presets: a dye's colours, a fabric's weight and bending rigidity.
 
 SHADES = ("light", "mid", "dark")
@@ -140,7 +154,7 @@ def _feel(preset: Preset) -> dict[str, float]:
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "worn", "paint", "swatches", "leave",
+    "paint", "swatches", "leave",
 )  # fmt: skip
 """Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
@@ -352,14 +366,6 @@ class Desk:
     def _dyed(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Return the dyed cloth at the start of the text's scene, laid flat. Raises BadInput."""
         return self._dyed_cloth.see(_page(request), *self._text(request), self.scenes.roots)
-
-    def _worn(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the positions of a shown start's triangles on the flat cloth. Raises BadInput."""
-        number = request.get("start")
-        start = self._starts.kept.get(number) if isinstance(number, int) else None
-        if start is None:
-            raise BadInput("this start is no longer kept", field="start", remedy="load the page again")
-        return {"corners": worn(start)}
 
     def _paint(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Add a stroke or a stencil to the text, or a stroke to the present run. Raises BadInput."""

@@ -27,7 +27,6 @@ from nuno.scene import edit, yaml_lines
 from nuno.scene.edit import flow
 from nuno.scene.scene_file import Loaded
 from nuno.studio import scenes
-from nuno.studio.cloth import Start
 from nuno.studio.dropped_files import reserve
 from nuno.studio.processes import Workshop
 from nuno.studio.server import NOT_FOUND, Refused, whole
@@ -277,24 +276,6 @@ def cloth_of(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
             "only cloth to dye is painted", field="dye", remedy="begin from dye/drops, or add dye to the scene"
         )
     return build_cloth(loaded)
-
-
-def worn(start: Start) -> list[list[float] | None]:
-    """Return x and y [m] on the flat cloth of the three corners of each triangle of a start; None for undyed cloth.
-
-    Raises BadInput for a scene whose dyed cloth is not an object.
-    """
-    cells, _, _ = cloth_of(start.loaded)
-    piece = next((one for one in start.sight.pieces if one.name == start.loaded.dyed.said.object), None)
-    fabric = start.fabric
-    laid = fabric.laid_out
-    if piece is None or laid is None:
-        raise BadInput("no object of this scene is dyed", field="dye.object", remedy="paint on the flat cloth")
-    _, ny, nx = cells.fibre.shape
-    # Cells cover the texture: u points right and v up, positions on the flat cloth right and down.
-    corners = (laid.points[laid.faces] * [1.0, -1.0] + [0.0, 1.0]) * [nx * cells.size, ny * cells.size]
-    dyed = (fabric.faces[:, 0] >= piece.start) & (fabric.faces[:, 0] < piece.stop)
-    return [row if hit else None for row, hit in zip(corners.reshape(-1, 6).tolist(), dyed.tolist(), strict=True)]
 
 
 def at_start(loaded: Loaded) -> tuple[Cells, Float, Float]:

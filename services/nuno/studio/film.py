@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import origin_of
 from nuno.collision.bodies import NO_SURFACES, Surfaces
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.exports.cloth import PLAIN, ShownPiece, as_png, check_size, cut_pieces, read_texture
-from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures
-from nuno.exports.meshes import sample
+from nuno.exports.cloth import ShownPiece, as_png, check_size, cut_pieces, read_texture
+from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures, read_dyed_object
 from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.recording.recorded import Frame, Recorded
-from nuno.studio.live_view import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS, draw_bodies, size_of
-from nuno_schemas.colour import parse_hex, to_srgb
+from nuno.studio.live_view import NO_EDGES, NO_FACES, NO_LENGTHS, NO_POINTS, draw_bodies, print_of, size_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
+from nuno_schemas.pictures import Picture
 
 # The topology and colours of a recording's cloth, as the page shows them.
 
@@ -34,15 +33,16 @@ from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEO
 class Shape:
     """The cloth between two changes by operations.
 
-    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; colours (n, 3) float32 sRGB in [0, 1] of cloth
-    with an image, else None.
+    faces (f, 3), edges (e, 2) with rest (e,) [m]: threads and links; printed: number of the piece with an image, which
+    is the dyed one if any is, and uv (f, 6) its texture coordinates as of `print_of`; None without.
     """
 
     pieces: tuple[ShownPiece, ...]
     faces: Int
     edges: Int
     rest: NDArray[np.float32]
-    colours: NDArray[np.float32] | None
+    printed: int | None = None
+    uv: NDArray[np.float32] | None = None
 
     def same_as(self, other: Shape) -> bool:
         """Return whether both have the same pieces, vertices, triangles and edges."""
@@ -69,20 +69,12 @@ def read_shape(recording: Recording, t: float) -> Shape:
             (NO_LENGTHS, (piece.rest for piece in pieces)),
         )
     )
-    return Shape(tuple(pieces), faces, edges, rest.astype(np.float32), _printed(pieces))
-
-
-def _printed(pieces: Sequence[ShownPiece]) -> NDArray[np.float32] | None:
-    """Return the sRGB (n, 3) of each vertex's pixel, if any piece has an image, else None."""
-    if all(piece.image is None for piece in pieces):
-        return None
-    colours = np.ones((max(piece.stop for piece in pieces), 3), np.float32)
-    for piece in pieces:
-        part = colours[piece.start : piece.stop]
-        part[:] = to_srgb(parse_hex(piece.colour or PLAIN))
-        if piece.image is not None and (laid := piece.laid_out) is not None:
-            part[laid.vertex] = sample(piece.image, laid.points) / 255.0
-    return colours
+    dyed = (recording.scene.get("dye") or {}).get("object")
+    shown = [i for i, one in enumerate(pieces) if one.laid_out and (one.image is not None or one.name == dyed)]
+    which = min(shown, key=lambda i: pieces[i].name != dyed, default=None)
+    parts = [print_of(one.faces, one.laid_out if i == which else None, (0, one.stop)) for i, one in enumerate(pieces)]
+    uv = None if which is None else np.concatenate(parts)
+    return Shape(tuple(pieces), faces, edges, rest.astype(np.float32), which, uv)
 
 
 DYED = "This cloth is dyed and does not move: it is shown from above, as its pictures have it."
@@ -90,7 +82,6 @@ NOTHING = "It holds no positions of cloth that could be shown."
 MOST_SHAPES = 8
 """Shapes that are kept; older ones are read again."""
 NET = "This cloth has no triangles: its links are shown as lines."
-DYE = "Its dye is not shown in 3-D: the picture of the last frame has it."
 
 
 @dataclass(frozen=True)
@@ -171,8 +162,6 @@ class Film:
                 remarks.append(DYED if self.dyed else NOTHING)
             elif any(not len(piece.faces) for piece in self.shape(0).pieces):
                 remarks.append(NET)
-            if self.moves and self.recording.scene.get("dye"):
-                remarks.append(DYE)
         return [text for text in remarks if text]
 
     @property
@@ -200,10 +189,12 @@ class Film:
             return self.recording.series(self.end)
 
     def picture(self, number: int) -> bytes:
-        """Return the PNG of dyed cloth at the frame of an index into `times`, or at the last frame before it with
-        recorded amounts. Raises BadInput if it cannot be drawn, IndexError without such a frame.
+        """Return the PNG of dyed cloth, or of the image on cloth that moves, at the frame of an index into `times`, or
+        at the last frame before it with recorded amounts. Raises BadInput if it cannot be drawn, IndexError without it.
         """
         with self._open():
+            if self.moves:
+                return as_png(self._image(self.times[number]))
             if self._dyed is None:
                 with dyed_pictures(self.recording) as pictures:
                     self._dyed = pictures
@@ -212,6 +203,17 @@ class Film:
                 raise BadInput("no amounts of dye were recorded until then", str(self.recording.path))
             picture = self._dyed.draw(message)
         return as_png(picture)
+
+    def _image(self, time: int) -> Picture:
+        shape = self.shape(self.shape_at(time))
+        if self._dyed is None and isinstance(dye := self.recording.scene.get("dye"), dict) and dye.get("object"):
+            self._dyed = read_dyed_object(self.recording)
+        image = self._dyed.texture(time / 1e9) if self._dyed else None
+        if image is None and shape.printed is not None:
+            image = shape.pieces[shape.printed].image
+        if image is None:
+            raise BadInput("nothing is printed on this cloth, nor dyed until then", str(self.recording.path))
+        return image
 
     @property
     def body_faces(self) -> Int:

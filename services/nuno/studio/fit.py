@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +16,6 @@ from nuno.report.fit_report import pressing, remarks, tables, verdict
 from nuno.scene.files import stamp_of
 from nuno.studio.processes import Workshop
 from nuno.studio.recordings import Recordings
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 
 MOST = 8
@@ -26,22 +26,17 @@ class Fits:
     """Measures recordings in a workshop, at their last frame, in which a garment is worn and no longer put on."""
 
     def __init__(self, recordings: Recordings, workshop: Workshop) -> None:
-        self._recordings, self._workshop = recordings, workshop
-        self._turn = threading.Lock()
-        self._kept: dict[tuple[Path, tuple[int, int], str | None], dict[str, Any]] = {}
+        self._recordings, self._turn = recordings, threading.Lock()
+        self._measure = functools.lru_cache(MOST)(
+            lambda path, stamp, body: workshop.make(path.name, _measure, path, body)
+        )
 
     def fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fit of each garment on a body, which may be omitted if it is the only one. Raises BadInput."""
         path, body = self._recordings.find(request.get("recording")), request.get("body")
-        if not isinstance(body, str | None):
-            raise BadInput("a body has a name", field="body", value=body)
-        key = path, stamp_of(path), body
         with self._turn:  # a page may ask twice for one that takes long
-            if key not in self._kept:
-                self._kept[key] = self._workshop.make(path.name, _measure, path, body)
-                for old in list(self._kept)[:-MOST]:
-                    del self._kept[old]
-            return self._kept[key]
+            found: dict[str, Any] = self._measure(path, stamp_of(path), None if body is None else str(body))
+        return found
 
 
 def _measure(path: Path, body: str | None) -> dict[str, Any]:

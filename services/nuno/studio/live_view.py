@@ -6,8 +6,9 @@ import contextlib
 import json
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
 from nuno.collision.messages import DRAWN_QUERY, POSES_QUERY, decode_geometry, decode_poses
-from nuno.exports.cloth import colour_of
+from nuno.exports.cloth import as_png, colour_of
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
@@ -28,8 +29,9 @@ from nuno.simulation.service import NOW
 from nuno.simulation.yarns import structural_edges
 from nuno.studio.server import whole
 from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput, RunFailed
-from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.messages import BODIES, EVENT, FABRIC, STATE, Event, Topic
 
 GROUND = 4.0
@@ -58,6 +60,7 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
     fabric, pieces = join_fabrics(fabrics, loaded.scene.name), cloth.place_pieces(loaded, fabrics)
     drawn = draw_bodies(geometry, size_of(fabric.position))
     edges, rest = structural_edges(fabric)
+    uv, image = _print(loaded, fabric, pieces)
     sight = Sight(
         fabric.position,
         fabric.faces,
@@ -67,8 +70,33 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
         edges,
         rest.astype(np.float32),
         frames=loaded.scene.frames,
+        uv=uv,
+        image=image,
     )
     return sight, fabric, fabrics
+
+
+def print_of(faces: Int, laid: Corners | None, shown: Sequence[int]) -> NDArray[np.float32]:
+    """Return the texture coordinates of each triangle's corners, v down, (f, 6): NaN but for the vertices from shown[0]
+    to shown[1], which have an image.
+    """
+    uv = np.full((len(faces), 6), np.nan, np.float32)
+    if laid is not None:
+        own = (faces >= shown[0]).all(axis=1) & (faces < shown[1]).all(axis=1)
+        uv[own] = (laid.points[laid.faces[own]] * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)).reshape(
+            -1, 6
+        )
+    return uv
+
+
+def _print(loaded: Loaded, fabric: Fabric, pieces: Iterable[Piece]) -> tuple[NDArray[np.float32] | None, bytes]:
+    """Return where an image lies on a scene's cloth, and it as a PNG: empty for dye, which is drawn elsewhere."""
+    dyed = loaded.scene.dye and loaded.dyed.said.object
+    shown = next((one for one in pieces if (one.name == dyed if dyed else one.texture)), None)
+    if shown is None or fabric.laid_out is None:
+        return None, b""
+    uv = print_of(fabric.faces, fabric.laid_out, (shown.start, shown.stop))
+    return uv, b"" if dyed or not shown.texture else as_png(read_rgb(Path(shown.texture)))
 
 
 def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
@@ -119,6 +147,7 @@ class Sight:
     number  grows with every shown sight, shape with every change of topology, place with every move of bodies
     x (n, 3) [m], faces (f, 3), body (b, 3) [m], body_faces (g, 3); origin (3,) [m] is that of the first sight
     edges (e, 2), rest (e,) [m]: threads and links, and their rest lengths
+    uv (f, 6): where an image lies, as of `print_of`, or None; image: its PNG, empty for dye
     state   start (no run), preparing, running, paused, or the end state of a run
     """
 
@@ -129,6 +158,8 @@ class Sight:
     body_faces: Int = field(default_factory=lambda: NO_FACES)
     edges: Int = field(default_factory=lambda: NO_EDGES)
     rest: NDArray[np.float32] = field(default_factory=lambda: NO_LENGTHS)
+    uv: NDArray[np.float32] | None = None
+    image: bytes = b""
     origin: Float = field(default_factory=lambda: np.zeros(3))
     state: str = "start"
     run: str = ""
@@ -154,9 +185,11 @@ class Sight:
         if shape != self.shape:
             arrays |= {"faces": self.faces.astype("<u4"), "bodyFaces": self.body_faces.astype("<u4")}
             arrays |= {"edges": self.edges.astype("<u4"), "rest": self.rest.astype("<f4")}
+            arrays |= {} if self.uv is None else {"uv": self.uv}
         names = ("state", "run", "frame", "frames", "t", "message", "number", "shape", "place")
         head = {name: getattr(self, name) for name in names} | {
             "origin": origin.tolist(),
+            "printed": bool(self.image),
             "pieces": [{name: getattr(piece, name) for name in SAID} for piece in self.pieces],
         }
         return pack(head, arrays)

@@ -277,9 +277,10 @@ class Screen:
             raise Refused(NOT_FOUND, str(error)) from None
         arrays = {"faces": shape.faces.astype("<u4"), "edges": shape.edges.astype("<u4"), "rest": shape.rest}
         arrays["bodyFaces"] = film.body_faces.astype("<u4")
-        if shape.colours is not None:
-            arrays["colours"] = shape.colours
-        return BYTES, pack({"pieces": [{name: getattr(p, name) for name in SAID} for p in shape.pieces]}, arrays)
+        if shape.uv is not None:
+            arrays["uv"] = shape.uv
+        pieces = [{name: getattr(piece, name) for name in SAID} for piece in shape.pieces]
+        return BYTES, pack({"dyed": bool(film.recording.scene.get("dye")), "pieces": pieces}, arrays)
 
     def dyed(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """Return a picture of dyed cloth at a frame of a film. Raises Refused."""

@@ -10,6 +10,7 @@ import { follow, frameOf } from "./link.js";
 import { Paint } from "./paint.js";
 import { toast } from "./say.js";
 import { colours, DECADES, stretched } from "./scale.js";
+import { sides } from "./replay.js";
 import { Bar } from "./screen.js";
 import { factor } from "./words.js";
 
@@ -64,7 +65,7 @@ export class Cloth {
     this.draft = button("weave", "Weave", "Draw another weave for this cloth (key W)", () => this.weave());
     this.scale = new Bar("cloth-scale", "stretch", "", DECADES).box;
     return make("section", { className: "side cloth", ariaLabel: "Cloth" }, this.canvas, this.flat,
-      make("div", { className: "tools" }, button("fit", "Whole", "The whole cloth (key F)", () => this.stage.fit()), button("mesh", "Triangles", "Key M", () => this.mesh()),
+      make("div", { className: "tools" }, button("fit", "Whole", "The whole cloth (key F)", () => this.stage.fit()), ...sides(() => this.stage), button("mesh", "Triangles", "Key M", () => this.mesh()),
         button("stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", () => this.colour()),
         button("draw", "Draw lines", "Ridges and valleys on the cloth by hand (key D)", () => this.draw.toggle()),
         this.scene.large ? button("paint", "Paint", "Dye, paste and stencils on cloth to dye (key P)", () => this.paint.toggle()) : "",
@@ -164,10 +165,19 @@ export class Cloth {
       this.say("The cloth as it begins: it lies flat and does not move. Paint puts dye, paste and stencils on it.");
     } else if (answer.ok) {
       const frame = await frameOf(`start?number=${answer.number}`).catch(() => null);
-      if (frame && !this.live && !this.over.signal.aborted) { this.number = answer.number; this.take(frame, answer.words); }
+      if (frame && !this.live && !this.over.signal.aborted) { this.number = answer.number; this.uv = frame.uv; this.take(frame, answer.words); this.print(frame); }
     } else if (this.scene.text.value === value) this.said.replaceChildren(answer.words ? wordsOf(answer) : answer.problem);
     Object.assign(this, { built: value, wanted: null });
     this.update();
+  }
+
+  /** Print on the cloth of the start what is printed or dyed there. */
+  async print({ uv, printed }) {
+    const { number, scene, stage } = this;
+    if (!uv) return;
+    const dyed = printed ? null : await ask("dyed", { scene: scene.name, text: scene.text.value, page: `${PAGE}-dye` });
+    const image = make("img", { src: dyed ? `flat?number=${dyed.number}` : `start?number=${number}&image=1` });
+    if (await image.decode().then(() => true, () => false) && this.number === number && stage.worn?.faces === 0.5 * uv.length) stage.wear(uv, image);
   }
 
   take(frame, words = this.words) {

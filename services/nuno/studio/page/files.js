@@ -97,6 +97,7 @@ async function send(list) {
     if (location.hash === "#files") for (const name of added) { document.querySelector(`[data-file="${CSS.escape(name)}"]`)?.remove(); $("files").prepend(card(name, dropped.get(name))); }
     if (added.length && !refused.length) toast(`Added: ${added.join(", ")}`, "What can be done with it stands under Files.");
   }
+  if (added.length) window.nuno.scene?.maker?.list();
   if (refused.length) toast(refused.length === 1 ? sentence(refused[0][1].problem) : `${refused.length} files were not taken`, refused.map(([name, answer]) => reason(answer, name)).join("\n"), true);
 }
 

@@ -6,13 +6,14 @@ const LIT = {
     void main() { gl_Position = matrix * vec4(position, 1.0); n = normal; base = colour; place = position; }`,
   fragment: `#version 300 es
     precision highp float;
-    in vec3 n; in vec3 base; in vec3 place; uniform vec3 eye, up, right; uniform float sheet; out vec4 colour;
+    in vec3 n; in vec3 base; in vec3 place; uniform vec3 eye, up, right; uniform float sheet, printed; uniform sampler2D image; out vec4 colour;
     void main() {
+      vec3 own = printed > 0.5 ? texture(image, base.xy).rgb : base;
       vec3 v = normalize(eye - place);
       vec3 s = normalize(n) * (gl_FrontFacing ? 1.0 : -1.0);
       vec3 key = normalize(0.9 * v + 0.55 * up - 0.5 * right);
       float light = 0.34 + 0.62 * pow(max(dot(s, key), 0.0), 1.4) + 0.16 * (0.5 + 0.5 * dot(s, up));
-      vec3 c = gl_FrontFacing || sheet < 0.5 ? base : mix(base, vec3(0.42, 0.5, 0.6), 0.6);
+      vec3 c = gl_FrontFacing || sheet < 0.5 ? own : mix(own, vec3(0.42, 0.5, 0.6), 0.6);
       float edge = pow(1.0 - abs(dot(s, v)), 3.0);
       colour = vec4(pow(c * light, vec3(1.0 / 1.1)) + 0.06 * edge, 1.0);
     }`,
@@ -34,6 +35,15 @@ const LINK = {
   fragment: `#version 300 es
     precision highp float; in vec3 tint; out vec4 colour;
     void main() { colour = vec4(tint, 1.0); }`,
+};
+const FADE = {
+  // What lies on the floor: a point goes down to it along the light.
+  vertex: `#version 300 es
+    layout(location=0) in vec3 position; uniform mat4 matrix; uniform vec3 light; uniform float height, lift; out vec3 place;
+    void main() { place = position - light * (position.y - height) + vec3(0.0, lift, 0.0); gl_Position = matrix * vec4(place, 1.0); }`,
+  fragment: `#version 300 es
+    precision highp float; in vec3 place; uniform vec3 middle; uniform float reach; uniform vec4 tint; out vec4 colour;
+    void main() { colour = vec4(tint.rgb, tint.a * (1.0 - smoothstep(0.15, 1.0, length(place.xz - middle.xz) / reach))); }`,
 };
 const RIBBON = {
   // A part of a line, from a to b, is a quad with two more corners at each end, which make a round cap.
@@ -72,12 +82,14 @@ function inSoftware() {
 
 export class Painter {
   constructor(canvas) {
-    const gl = this.gl = canvas.getContext("webgl2", { antialias: !inSoftware(), alpha: false });
+    const gl = this.gl = canvas.getContext("webgl2", { antialias: !inSoftware(), alpha: false, stencil: true });
     if (!gl) throw new Error("no WebGL 2");
     this.canvas = canvas;
-    this.lit = this.program(LIT); this.flat = this.program(FLAT); this.ribbon = this.program(RIBBON); this.link = this.program(LINK);
+    this.lit = this.program(LIT); this.flat = this.program(FLAT); this.ribbon = this.program(RIBBON); this.link = this.program(LINK); this.fade = this.program(FADE);
     this.ground = [0.914, 0.929, 0.945];
-    this.meshes = { cloth: this.mesh(), body: this.mesh() };
+    this.meshes = { cloth: this.mesh(), body: this.mesh(), print: this.mesh() };
+    Object.assign(this, { printed: true, floor: null, square: this.array([[0, 3]]) });
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     this.parts = this.lines(); this.fins = this.array([[0, 3], [1, 4]]);
     gl.enable(gl.DEPTH_TEST);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
@@ -138,6 +150,14 @@ export class Painter {
     mesh.count = faces.length; mesh.edges = pairs.length;
   }
 
+  /** Take the image of what is printed. */
+  print(image) {
+    const gl = this.gl;
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+    gl.generateMipmap(gl.TEXTURE_2D);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  }
+
   move(name, x, normals) { this.fill(this.meshes[name].buffers[0], x); this.fill(this.meshes[name].buffers[1], normals); }
 
   /** What of the cloth no triangle has: pairs of vertices as lines, and vertices as dots. */
@@ -148,6 +168,20 @@ export class Painter {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.dots); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, loose, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     mesh.linked = pairs.length; mesh.dotted = loose.length;
+  }
+
+  /** A floor that fades into the distance, and on it the shadow of all that stands or hangs above, by light from the left and the eye's side. */
+  drawFloor(use, { target, size }, right) {
+    const gl = this.gl, { floor, ground } = this, far = 4 * size, [x, , z] = target, dark = ground[0] < 0.5;
+    this.fill(this.square.buffer, new Float32Array([[-far, -far], [far, -far], [-far, far], [far, far]].flatMap(([a, b]) => [x + a, floor, z + b])));
+    gl.enable(gl.BLEND); gl.enable(gl.STENCIL_TEST); gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR); gl.depthMask(false);
+    const common = { height: floor, middle: [x, floor, z], reach: far, light: [-0.4 * right[0] - 0.25 * right[2], 1, -0.4 * right[2] + 0.25 * right[0]] };
+    use(this.fade, { ...common, lift: 0, tint: [...ground.map((c) => c * (dark ? 1.35 : 0.93)), 0.9] });
+    gl.stencilFunc(gl.ALWAYS, 0, 255); gl.stencilMask(0); gl.bindVertexArray(this.square.vao); gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    use(this.fade, { ...common, lift: 5e-4 * size, tint: [0, 0, 0, dark ? 0.4 : 0.2] });
+    gl.stencilMask(255); gl.stencilFunc(gl.EQUAL, 0, 255);  // each pixel is dark once
+    for (const mesh of [this.meshes.cloth, this.meshes.body]) { gl.bindVertexArray(mesh.vao); gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.index); gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0); }
+    gl.disable(gl.STENCIL_TEST); gl.disable(gl.BLEND); gl.depthMask(true);
   }
 
   drawLinks(use, ratio) {
@@ -181,7 +215,7 @@ export class Painter {
     if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
     gl.viewport(0, 0, w, h);
     gl.clearColor(...this.ground, 1);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     const matrix = camera.matrix(), { right, up } = camera.axes(), eye = camera.eye;
     const use = ({ p, at }, more) => {
       gl.useProgram(p); gl.uniformMatrix4fv(at("matrix"), false, matrix); gl.uniform3fv(at("eye"), eye);
@@ -189,7 +223,8 @@ export class Painter {
         gl[`uniform${Array.isArray(value) ? value.length : 1}fv`](at(name), [].concat(value));
     };
     for (const [name, mesh] of Object.entries(this.meshes)) {
-      use(this.lit, { right, up, sheet: name === "cloth" ? 1 : 0 });
+      if (name === "print") { if (!this.printed) continue; gl.depthFunc(gl.LEQUAL); }  // over the same triangles of the cloth
+      use(this.lit, { right, up, sheet: name === "body" ? 0 : 1, printed: name === "print" ? 1 : 0 });
       gl.bindVertexArray(mesh.vao);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.index);
       // Bodies are behind cloth that lies on them. Cloth itself is not pushed back: where it is steep, as in a fold, that
@@ -198,6 +233,8 @@ export class Painter {
       gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
       gl.disable(gl.POLYGON_OFFSET_FILL);
     }
+    gl.depthFunc(gl.LESS);
+    if (this.floor !== null && eye[1] > this.floor) this.drawFloor(use, camera, right);
     this.drawLinks(use, ratio);
     gl.enable(gl.BLEND);
     if (wires) {

@@ -1,5 +1,5 @@
 import { ask } from "./ask.js";
-import { make } from "./dom.js";
+import { make, sentence } from "./dom.js";
 import { Entry } from "./entry.js";
 import { Form } from "./form.js";
 
@@ -17,6 +17,9 @@ export class Maker extends Form {
     this.again();
   }
 
+  /** Mistakes stand here while the form is not seen. */
+  place() { this.placed = new Set(); if (!document.getElementById("advanced").open) super.place(); }
+
   /** The schema's node of a path, as the data has it. */
   node(path) {
     let node = this.schema.root, value = this.data;
@@ -32,7 +35,7 @@ export class Maker extends Form {
   fields() {
     const { objects, bodies } = this.data, lists = [objects, bodies].map((one) => (Array.isArray(one) ? one : []));
     const rows = lists[0].flatMap((one, i) => this.garment(one ?? {}, ["objects", i], lists[0].length > 1));
-    rows.push(...lists[1].flatMap((one, i) => this.file("Body", MESHES, ["bodies", i, "collider", "file"]) ?? this.plain("Body", [one?.name, one?.motion?.plugin ?? one?.motion].filter((part) => typeof part === "string").join(", "))));
+    rows.push(...lists[1].flatMap((one, i) => this.file("Body", MESHES, ["bodies", i, "collider", "file"]) ?? this.plain("Body", [one?.name, one?.motion && `moved by ${one.motion.plugin ?? one.motion}`].filter(Boolean).join(", "))));
     return rows.length ? rows : [make("p", { className: "soft", textContent: "This scene has no garment and no body: what it has is behind Advanced." })];
   }
 
@@ -40,8 +43,8 @@ export class Maker extends Form {
     const entry = (label, ...more) => { const found = this.node([...path, ...more]); return found && ["preset", "text", "select"].includes(found.field.kind) ? [new Entry(this, found.field, found.value, [...path, ...more], found.value !== undefined, label).row] : []; };
     // Lengths that are written, but for that of triangles: those of a garment without a pattern.
     const lengths = Object.entries(model ?? {}).filter(([key, value]) => key !== "edge" && typeof value === "string" && this.node([...path, "model", key])?.field.unit === "m");
-    return [...(several ? [make("h2", { textContent: name ?? "" })] : []), this.file("Garment", PATTERNS, [...path, "model", "file"]) ?? this.plain("Garment", [several ? "" : name, model?.plugin].filter(Boolean).join(", ")),
-      ...lengths.flatMap(([key]) => entry(key.replaceAll("_", " "), "model", key)), ...entry("Fabric", "model", "fabric"), ...entry("Colour", "colour")];
+    return [...(several ? [make("h2", { textContent: name ?? "" })] : []), this.file("Garment", PATTERNS, [...path, "model", "file"]) ?? this.plain("Garment", typeof model === "string" ? model : model?.plugin ?? ""),
+      ...lengths.flatMap(([key]) => entry(sentence(key.replaceAll("_", " ")).slice(0, -1), "model", key)), ...entry("Fabric", "model", "fabric"), ...entry("Colour", "colour")];
   }
 
   plain(label, text) { return make("div", { className: "field" }, make("label", { textContent: label }), make("span", { textContent: text })); }

@@ -17,7 +17,7 @@ const FILLED = 0.78;
 export class Camera {
   constructor() {
     Object.assign(this, { target: [0, 0, 0], distance: 2, azimuth: 0.35, elevation: 0.2, width: 1, height: 1, size: 1 });
-    this.slope = Math.tan(0.3);
+    this.slope = Math.tan(0.25);  // as pictures have it
     /** Stages that show what it sees. */
     this.watched = new Set();
   }

@@ -68,16 +68,12 @@ export class Paint {
   /** What a drag on the garment draws with: nothing unless that is painted on. */
   get pen() { return this.on && this.onGarment && this.worn ? { kind: "paint", height: 0 } : null; }
 
-  /** Colour the garment as its cloth is, vertex by vertex, once both are there. */
-  async dress() {
+  /** Print the garment with its cloth, once both are there. */
+  dress() {
     const { cloth } = this, { number, stage } = cloth;
-    if (!this.on || !this.onGarment || !number || !this.seen.object) return;
-    if (this.start !== number) {
-      const answer = await ask("worn", { start: number });
-      if (!answer.ok || cloth.number !== number) return;
-      Object.assign(this, { start: number, worn: new Worn(answer.corners, stage.base.cloth) });
-    }
-    if (stage.base.cloth.faces === stage.cloth.faces) stage.colour(this.worn.colours(this.picture, this.size, stage.ownColours()));
+    if (!this.on || !this.onGarment || !number || !this.seen.object || !cloth.uv) return;
+    if (this.start !== number) Object.assign(this, { start: number, worn: new Worn(cloth.uv, this.size, stage.base.cloth) });
+    if (stage.base.cloth.faces === stage.cloth.faces) stage.wear(cloth.uv, this.picture);
   }
 
   /** A drag over the garment: the lines that it is on the flat cloth, one after the other. */

@@ -47,7 +47,7 @@ export async function recording(view, name, replay) {
   view.replaceChildren(
     make("div", { className: "head" }, make("h1", { textContent: name }), tabs(name, replay.fits), make("span", { className: "group" }, goingOn(name), verify, remover(name))),
     make("p", { className: "soft", textContent: [answer.scene, answer.state, seconds(answer.seconds), bytes(answer.bytes), moment(answer.when)].filter(Boolean).join(" · ") }),
-    ...(replay.fits ? [replay.box] : [exporter(name, answer.dyed), verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows)))]));
+    ...(replay.fits ? [replay.box] : [exporter(name, answer.dyed, replay), verdict, replay.box, make("div", { className: "panel shown" }, picture, make("div", {}, rowsOf(answer.rows)))]));
   if (replay.fits) { await replay.open(); return; }
   compare(name, verify, verdict, "verdict");
   await Promise.all([replay.open(), showPicture(picture, name)]);

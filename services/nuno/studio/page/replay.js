@@ -1,6 +1,7 @@
 import { ask } from "./ask.js";
 import { make, sentence } from "./dom.js";
 import { Fit } from "./fit.js";
+import { add } from "./math.js";
 import { Player } from "./player.js";
 import { Plot } from "./plot.js";
 import { Reel } from "./reel.js";
@@ -9,6 +10,9 @@ import { Bar, Picture, Screen } from "./screen.js";
 
 /** A text as a switch that a button is. */
 export const press = (id, textContent, title, does) => make("button", { type: "button", id, textContent, title, onclick: does });
+
+/** Buttons to look from a side. */
+export const sides = (stage) => [["Front", 0], ["Side", Math.PI / 2], ["Back", Math.PI]].map(([text, azimuth]) => press(`from-${text.toLowerCase()}`, text, `From ${text === "Side" ? "the body's left" : `the ${text.toLowerCase()}`}`, () => stage().from(azimuth)));
 
 /** One recording: its cloth and bodies at any frame, and its series over time. */
 export class Replay {
@@ -58,7 +62,7 @@ export class Replay {
     this.player = new Player(times, [reel], (i) => this.show(i));
     this.bar = new Bar("stretch-scale", "stretch", "", DECADES);
     const { stage, canvas } = this.screen;
-    this.screen.box.append(make("div", { className: "tools" }, press("film-fit", "Whole", "The whole cloth (key F)", () => stage.fit()),
+    this.screen.box.append(make("div", { className: "tools" }, press("film-fit", "Whole", "The whole cloth (key F)", () => stage.fit()), ...sides(() => stage),
       press("film-mesh", "Triangles", "Key M", (e) => { stage.wires = !stage.wires; e.currentTarget.setAttribute("aria-pressed", String(stage.wires)); stage.dirty(); }),
       press("film-stretch", "Stretch", "Colour the cloth by how far its threads are stretched (key S)", (e) => this.stretch(e.currentTarget))), this.bar.box);
     this.theater.append(this.screen.box);
@@ -73,6 +77,12 @@ export class Replay {
     this.bar.box.hidden = !on;
     button.setAttribute("aria-pressed", String(on));
     this.screen.colour(on ? "stretch" : "");
+  }
+
+  /** The camera as nuno export takes it, and of a picture the frame. */
+  seen(kind) {
+    const { camera, origin } = this.screen.stage, { azimuth, elevation, distance } = camera;
+    return { camera: { azimuth, elevation, distance, target: add(camera.target, origin) }, ...(kind === "png" ? { frame: this.film.numbers[this.player.index] } : {}) };
   }
 
   show(i) {

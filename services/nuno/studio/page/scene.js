@@ -81,6 +81,7 @@ export class SceneView {
   /** Text and form, which a browser shows again to whoever has left them open. */
   opened() {
     localStorage.setItem("advanced", this.advanced.open ? "open" : "");
+    this.maker?.again();
     if (["text", "form"].includes(this.box.dataset.side) !== this.advanced.open && this.box.dataset.side !== "cloth") this.side(this.advanced.open ? "text" : "choices");
   }
 

@@ -19,13 +19,25 @@ export class Screen {
     if (!frame) return;
     this.index = index;
     this.frame = frame;
-    const { stage } = this, same = stage.shape === frame.shape, { far, ...known } = frame;
+    const { stage } = this, same = stage.shape === frame.shape, { far, uv, ...known } = frame;
     if (same) { delete known.faces; delete known.bodyFaces; delete known.edges; }
     if (same && frame.body === this.placed) delete known.body;
     this.placed = frame.body;
-    known.colours = same ? undefined : frame.colours;
     stage.show(known);
     if (this.by || this.mapped || !same) this.paint();
+    this.dress();
+  }
+
+  /** Print on the cloth what is printed or dyed there at this frame: the newest that is wanted, once one has come. */
+  async dress() {
+    const { uv, shape, dyed } = this.frame, key = dyed ? this.index : -1 - shape;
+    if (!uv || this.dressed === key || this.dressing) return;
+    Object.assign(this, { dressed: key, dressing: true });
+    const image = make("img", { src: `dyed?film=${encodeURIComponent(this.reel.film)}&frame=${this.index}` }), good = await image.decode().then(() => true, () => false);
+    this.dressing = false;
+    if (this.stage.closed) return;
+    if (good && this.frame.shape === shape) this.stage.wear(uv, image);
+    this.dress();
   }
 
   /** Colour by "stretch", "far" or, with "", as the scene has it. */
@@ -36,7 +48,7 @@ export class Screen {
 
   paint() {
     const { frame } = this;
-    let found = this.mapped ? colours(this.mapped) : frame.colours;
+    let found = this.mapped ? colours(this.mapped) : undefined;
     if (this.by === "stretch") found = colours(stretched(frame));
     if (this.by === "far" && frame.far) found = colours(frame.far.map((value) => value / (this.most || 1)));
     this.stage.colour(found);

@@ -64,9 +64,12 @@ export class Stage {
     this.pieces = frame.pieces;
     if (changed) this.setTopology(frame.edges ?? new Uint32Array(0));
     if (first) this.fit(this.body.x);
+    if (changed && this.worn?.faces !== frame.faces.length) this.wear();
+    if (changed) this.lay();
     this.shape = frame.shape ?? 0;
     this.normals = this.cloth.normals();
     this.painter.move("cloth", frame.x, this.normals);
+    this.hang();
     if (frame.body) this.painter.move("body", frame.body, this.body.normals());
     if (frame.colours) this.colour(frame.colours);
     this.dirty();
@@ -85,6 +88,30 @@ export class Stage {
     this.painter.setLinks(new Uint32Array(pairs), new Uint32Array(loose));
   }
 
+  /** The floor is below all that is there at first. */
+  lay() {
+    const low = [this.cloth.x, this.body.x].reduce((least, x) => { for (let i = 1; i < x.length; i += 3) least = x[i] < least ? x[i] : least; return least; }, Infinity);
+    this.painter.floor = isFinite(low) ? low - 1e-3 * this.camera.size : null;
+  }
+
+  /** Print an image on the cloth: uv has places on it of each triangle's three corners, NaN for triangles without; nothing takes it off. */
+  wear(uv = [], image = null) {
+    const { faces } = this.cloth, corners = [...faces.keys()].filter((k) => uv[2 * k] === uv[2 * k] && 2 * k < uv.length), at = new Float32Array(3 * corners.length);
+    corners.forEach((k, i) => at.set([uv[2 * k], uv[2 * k + 1], 0], 3 * i));
+    this.worn = { faces: faces.length, corners: Uint32Array.from(corners, (k) => faces[k]) };
+    this.painter.setTopology("print", Uint32Array.from(corners.keys()), at);
+    if (image) this.painter.print(image);
+    this.hang();
+    this.dirty();
+  }
+
+  /** What is printed hangs as the cloth does. */
+  hang() {
+    if (!this.worn?.corners.length || !this.normals.length) return;
+    const [x, n] = [this.cloth.x, this.normals].map((values) => { const found = new Float32Array(3 * this.worn.corners.length); this.worn.corners.forEach((v, i) => { found[3 * i] = values[3 * v]; found[3 * i + 1] = values[3 * v + 1]; found[3 * i + 2] = values[3 * v + 2]; }); return found; });
+    this.painter.move("print", x, n);
+  }
+
   /** The cloth's colours as the scene has them, three of each vertex. */
   ownColours() {
     const colours = new Float32Array(this.cloth.x.length);
@@ -95,7 +122,10 @@ export class Stage {
   }
 
   /** Colour the cloth by 3 n numbers from 0 to 1, or as the scene has it. It holds until triangles change. */
-  colour(colours = this.ownColours()) { this.painter.colour("cloth", colours); this.dirty(); }
+  colour(colours) { this.painter.printed = !colours; this.painter.colour("cloth", colours ?? this.ownColours()); this.dirty(); }
+
+  /** Look at all that is there from a side [rad] about the vertical: a body's front faces +z. */
+  from(azimuth) { this.fit(this.body.x); Object.assign(this.camera, { azimuth, elevation: 0.08 }); this.camera.changed(); }
 
   /** Look at the whole cloth, and at points beside it that are near. */
   fit(beside = []) { this.size(); this.camera.fit(this.cloth.x, this.cloth.facing(), this.aside, beside); this.camera.changed(); }

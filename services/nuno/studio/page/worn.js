@@ -5,9 +5,12 @@ const SEAM = 3;
 
 /** Where a garment's triangles lie on the flat cloth that it is dyed as. */
 export class Worn {
-  /** corners: x and y [m] on the flat cloth of each triangle's three corners, null for triangles of other cloth;
+  /** uv: six shares of the flat cloth's size [m] of each triangle's three corners, NaN for triangles of other cloth;
     surface: the triangles as they hang. */
-  constructor(corners, surface) { Object.assign(this, { corners, surface }); }
+  constructor(uv, size, surface) {
+    const corner = (face) => (uv[6 * face] === uv[6 * face] ? Array.from(uv.subarray(6 * face, 6 * face + 6), (share, k) => share * size[k % 2]) : null);
+    Object.assign(this, { corners: Array.from({ length: surface.count }, (_, face) => corner(face)), surface });
+  }
 
   /** The place [m] on the flat cloth of a place [face, u, v]; null on other cloth. */
   flat([face, u, v]) {
@@ -38,18 +41,5 @@ export class Worn {
   parted(from, to) {
     const way = length(add(this.surface.at(from.place), this.surface.at(to.place), -1));
     return Math.hypot(to.p[0] - from.p[0], to.p[1] - from.p[1]) > SEAM * way * Math.max(this.ratio(from.place[0]), this.ratio(to.place[0])) + 1e-9;
-  }
-
-  /** Colours of vertices, three of each, by a picture of the flat cloth of a size [m]; those of other cloth stay. */
-  colours(image, [wide, high], own) {
-    const canvas = new OffscreenCanvas(image.naturalWidth, image.naturalHeight), pen = canvas.getContext("2d"), colours = Float32Array.from(own);
-    pen.drawImage(image, 0, 0);
-    const { data } = pen.getImageData(0, 0, canvas.width, canvas.height), pixel = (share, n) => Math.max(0, Math.min(n - 1, Math.floor(share * n)));
-    this.corners.forEach((corner, face) => [0, 1, 2].forEach((k) => {
-      if (!corner) return;
-      const at = 4 * (pixel(corner[2 * k + 1] / high, canvas.height) * canvas.width + pixel(corner[2 * k] / wide, canvas.width));
-      colours.set([data[at] / 255, data[at + 1] / 255, data[at + 2] / 255], 3 * this.surface.faces[3 * face + k]);
-    }));
-    return colours;
   }
 }
