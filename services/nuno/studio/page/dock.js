@@ -104,7 +104,7 @@ class Dock {
 
   /** What a maker asks first: whether it fits, whether anything crosses, how long it took. All else is behind Show more. */
   async tell(recording, ends) {
-    const fits = make("dd", { textContent: "measuring it on the body …" }), more = make("button", { type: "button", id: "to-fit", className: "main", textContent: "Fit", title: "Ease, pressure and stretch of the garment as it is worn", onclick: () => { location.hash = `#fit=${encodeURIComponent(recording)}`; } });
+    const fits = make("dd", { textContent: "measuring it on the body …" }), more = make("button", { type: "button", id: "to-fit", className: "main", textContent: "Fit", title: "Ease, pressure and stretch of the garment as it is worn", onclick: () => { $("dock").hidden = true; location.hash = `#fit=${encodeURIComponent(recording)}`; } });
     $("run-ends").replaceChildren(make("dl", { className: "rows" }, make("dt", { textContent: "Fits" }), fits, ...ends.flatMap(([name, text]) => [make("dt", { textContent: name }), make("dd", { textContent: text })])), more);
     const answer = await ask("fit", { recording });
     more.hidden = !answer.ok;
