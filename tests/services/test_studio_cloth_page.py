@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from browser import Page
 from live_run import wait_until
+from PIL import Image
 from studio_desk import FILE, NEEDS_BROWSER, SHEET, look_at_scene
 
 from nuno.scene import scene_file
@@ -92,6 +93,73 @@ def test_the_view_is_turned_by_mouse_and_keys_and_coloured_by_stretch(page: Page
     page.press("l")
     assert page.value("document.querySelector('.text').offsetParent === null")
     page.press("l")
+
+
+PRINTED = """\
+nuno: 1
+name: printed
+duration: 0.1 s
+objects:
+  - name: skirt
+    model: {plugin: skirt, waist_radius: 13 cm, hem_radius: 31 cm, length: 45 cm, fabric: jacket, texture: two.png}
+"""
+SEEN = """(() => { const { stage } = nuno.scene.cloth, { x, faces } = stage.cloth, found = [];
+  for (let v = 0; v < x.length / 3; v += 7) {
+    const at = stage.camera.project([...x.slice(3 * v, 3 * v + 3)]), hit = at && stage.pick(at.x, at.y);
+    const shares = hit ? [1 - hit.u - hit.v, hit.u, hit.v] : [];
+    if (shares.some((s, k) => s > 0.9 && faces[3 * hit.face + k] === v)) found.push([v, at.x, at.y]);
+  }
+  return found; })()"""
+"""Vertices whose own triangles are what their pixels show, and where these are."""
+
+
+def test_a_print_lies_on_the_cloth_as_its_texture_coordinates_say(page: Page, served: tuple[Desk, Server]) -> None:
+    picture = np.zeros((40, 40, 3), np.uint8)
+    picture[:, :20, 0] = picture[:, 20:, 1] = 230  # left red, right green
+    Image.fromarray(picture).save("two.png")
+    Path(FILE).write_text(PRINTED)
+    look_at_cloth(page, served[1])
+    page.wait(f"{VIEW}.stage.worn?.corners.length > 0 && !{VIEW}.stage.asked", PATIENCE)
+    fabric = see_objects(scene_file.read(Path(FILE)))[1]
+    assert fabric.laid_out is not None
+    u = {int(v): float(point[0]) for v, point in zip(fabric.laid_out.vertex, fabric.laid_out.points, strict=True)}
+    for side in ("front", "back"):
+        page.click(f"from-{side}")
+        page.wait(f"!{VIEW}.stage.asked")
+        assert page.value(CAMERA)[0] == pytest.approx({"front": 0.0, "back": np.pi}[side])
+        left, top, _, _ = page.value(BOX)
+        seen, checked = page.picture().astype(int), 0
+        for v, x, y in page.value(SEEN):
+            share = u[v] % 1.0
+            if y < 70 or min(abs(share - edge) for edge in (0.0, 0.5, 1.0)) < 0.03:
+                continue  # below the buttons, or at an edge of the print
+            red, green, _ = seen[round(top + y), round(left + x)]
+            assert (red > green) is (share < 0.5), (v, share)
+            checked += 1
+        assert checked > 10
+    page.click("cloth-stretch")  # colours of stretch are not printed over
+    page.wait(f"!{VIEW}.stage.asked")
+    (v, x, y), *_ = [one for one in page.value(SEEN) if one[2] > 120]
+    assert page.picture()[round(top + y), round(left + x)].astype(int)[2] > 40
+    page.click("cloth-stretch")
+
+
+def test_the_cloth_has_a_shadow_on_the_floor_below_it(page: Page, served: tuple[Desk, Server]) -> None:
+    """Where the light through the middle of the sheet meets the floor it is darker than as far on the other side."""
+    look_at_cloth(page, served[1])
+    page.value(f"Object.assign({VIEW}.stage.camera, {{ azimuth: 0, elevation: 1.1 }}); {VIEW}.stage.camera.changed()")
+    page.wait(f"!{VIEW}.stage.asked")
+    floor, (x, y, z) = page.value(f"{VIEW}.stage.painter.floor"), shown(page)[40]
+    height = float(y) - floor
+    assert height > 0.15 and floor < shown(page)[:, 1].min()
+    left, top, _, _ = page.value(BOX)
+    seen = page.picture().astype(int).sum(axis=2)
+    shades = []
+    for side in (1, -1):
+        place = [float(x) + 0.4 * height * side, floor, float(z) - 0.25 * height * side]
+        at = page.value(f"{VIEW}.stage.camera.project({place})")
+        shades.append(seen[round(top + at["y"]), round(left + at["x"])])
+    assert shades[0] < 0.9 * shades[1]
 
 
 def test_a_run_is_shown_while_it_is_on_the_screen_and_not_followed_else(

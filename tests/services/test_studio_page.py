@@ -154,6 +154,40 @@ def _scalars(value: Any, path: str) -> Iterator[str]:
         yield path
 
 
+def test_what_a_maker_chooses_stands_beside_the_cloth_and_all_else_behind_advanced(
+    page: Page, served: tuple[Desk, Server]
+) -> None:
+    look(page, served[1], f"#scene={FILE}", "document.getElementById('verdict')?.textContent && nuno.scene.cloth.frame")
+    width = "document.querySelector('%s').getBoundingClientRect().width"
+    assert page.value(width % "#cloth") > 1.5 * page.value(width % ".maker") and not page.value(width % "#text")
+    shown = page.value("[...document.querySelectorAll('.choices label')].map((one) => one.textContent)")
+    assert shown == ["Garment", "Size", "Fabric", "Colour"] or shown == ["Garment", "Fabric", "Colour"]
+    choose(page, "maker:field:objects[0].model.fabric", "jacket")
+    wait_text(page, once := SHEET.replace("silk, pin", "jacket, pin"))
+    # What is wrong with it stands there, as long as the form is not seen.
+    page.value(f"nuno.scene.text.set({once.replace('jacket', 'jakcet')!r}); nuno.scene.typed()")
+    page.wait("document.querySelectorAll('.choices .mistake').length === 1")
+    page.tap("#advanced > summary")
+    page.wait(f"{width % '#text'} > 200 && document.querySelectorAll('.choices .mistake').length === 0")
+    assert page.value("document.querySelectorAll('.fields .mistake').length") == 1
+    look(page, served[1], f"#scene={FILE}", "document.getElementById('verdict')?.textContent")
+    assert page.value("document.getElementById('advanced').open")  # as it was left
+
+
+def test_a_run_tells_how_long_it_goes_on(page: Page, served: tuple[Desk, Server]) -> None:
+    """What is left of a preparation falls as time passes, and of a run by its speed."""
+    look_at_scene(page, served[1])
+    left = []
+    for waited in (1, 30, 80):
+        page.value(f"nuno.dock.show({{state: 'preparing', frame: -1, waited: {waited}, said: ''}})")
+        first = "document.getElementById('run-first')"
+        left.append(page.value(f"{first}.hidden ? null : {first}.textContent.match(/some (\\d+) s/)?.[1]"))
+    assert left == [None, "90", "40"]
+    page.value("nuno.dock.show({state: 'running', frame: 9, frames: 60, t: 1, end: 6, factor: 0.05, said: ''})")
+    assert "100 s left" in page.value("document.getElementById('run-time').textContent")
+    assert page.value("document.getElementById('run-first').hidden")
+
+
 def test_a_scene_is_planned_run_paused_and_stopped(page: Page, served: tuple[Desk, Server]) -> None:
     Path(FILE).write_text(SHEET.replace("0.4 s", "400 s"))
     look_at_scene(page, served[1])
@@ -178,6 +212,12 @@ def test_a_scene_is_planned_run_paused_and_stopped(page: Page, served: tuple[Des
         report = recording.report()
     assert report["state"] == "stopped" and rows(page, "#run-said") == [(name, said) for name, said in lines(report)]
     assert page.value("document.querySelector('#run-said img').naturalWidth") > 100
+    # First what a maker asks; that and the picture are one click away.
+    assert [name for name, _ in rows(page, "#run-ends")] == ["Fits", "Crosses", "Took"]
+    page.wait("document.querySelector('#run-ends dd').textContent.startsWith('The recording has no body')")
+    assert page.value("document.getElementById('run-said').hidden && document.getElementById('to-fit').hidden")
+    page.tap("#more")
+    assert not page.value("document.getElementById('run-said').hidden")
     page.click("dismiss")
 
 

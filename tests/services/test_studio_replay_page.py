@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import dye_scene
+import garment_scene
 import numpy as np
 import pytest
 import yaml
 from browser import Page
 from numpy.typing import NDArray
+from PIL import Image
 from recorded_sheet import Sheet, write
 from studio_desk import NEEDS_BROWSER, SHEET, look, studio, write_sheet
 
 import nuno
+from nuno.exports.dyed_pictures import read_dyed_object
 from nuno.recording.reader import open_recording
 from nuno.studio.server import Server
 
@@ -78,6 +82,12 @@ def plot(page: Page, title: str) -> list[str]:
         ".flatMap((p) => [...p.querySelectorAll('output')].map((o) => o.textContent))"
     )
     return found
+
+
+def read(page: Page, address: str) -> bytes:
+    """What the page gets from an address."""
+    got = f"fetch({address!r}).then((a) => a.arrayBuffer()).then((b) => [...new Uint8Array(b)])"
+    return bytes(page.value(got))
 
 
 def focus(page: Page, name: str) -> None:
@@ -219,6 +229,53 @@ def test_a_run_is_gone_on_with_or_it_is_said_why_not(page: Page, server: Server)
     now = page.value("nuno.dock.now.recording")
     assert np.array_equal(frames(now)[:21], frames("a.mcap"))
     page.wait("document.querySelector('#run-said img')?.complete", PATIENCE)
+
+
+def test_a_picture_is_of_the_frame_and_from_the_camera_of_the_page(page: Page, server: Server) -> None:
+    """The cloth, in red, covers the same pixels."""
+    nuno.run("sheet.yaml", {"objects.0.colour": "#c01818"}, record=FOLDER / "red.mcap")
+    look_at(page, server, "red.mcap")
+    page.value(f"{RUN}.player.go(17)")
+    at(page, 17)
+    page.click("from-back")
+    page.value(f"Object.assign({RUN}.screen.stage.camera, {{ azimuth: 2.4, elevation: 0.35 }})")
+    page.value(f"{RUN}.screen.stage.camera.zoom(0.8)")
+    page.value(f"{RUN}.screen.stage.camera.changed()")
+    page.wait(f"!{RUN}.screen.stage.asked")
+    box = "(({x, y, width, height}) => [x, y, width, height])(document.getElementById('film').getBoundingClientRect())"
+    x, y, w, h = map(round, page.value(box))
+    seen = page.picture()[y : y + h, x : x + w].astype(int)
+    page.value(f"document.getElementById('export-size').value = '{w}x{h}'")
+    page.click("export-png")
+    page.wait("Boolean(document.querySelector('#exported a'))", PATIENCE)
+    data = read(page, page.value("document.querySelector('#exported a').href"))
+    drawn = np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
+    assert drawn.shape == seen.shape
+    red = [(one[..., 0] - one[..., 1] > 40)[50:] for one in (seen, drawn)]  # below the buttons
+    assert red[0].sum() > 2000 and (red[0] & red[1]).sum() > 0.95 * (red[0] | red[1]).sum()
+    page.value("document.getElementById('export-size').value = '9x9'")
+    page.click("export-png")
+    page.wait("document.querySelector('#exported pre')?.textContent.includes('16 to 8192')", PATIENCE)
+
+
+def test_the_dye_of_a_garment_is_on_it_over_time(page: Page, server: Server) -> None:
+    """What is printed is the texture of its pictures, and another at the end than at the start."""
+    (folder := Path("garment")).mkdir()
+    nuno.run(garment_scene.write(folder), record=FOLDER / "garment.mcap")
+    look_at(page, server, "garment.mcap")
+    page.wait(f"{RUN}.screen.stage.worn?.corners.length === {3 * 50}", PATIENCE)  # of two sheets only the dyed one's
+    film, times = page.value(f"[{RUN}.film.film, {RUN}.film.times]")
+    with open_recording(FOLDER / "garment.mcap") as recording:
+        dyed = read_dyed_object(recording)
+        assert dyed is not None
+        textures = [dyed.texture(t) for t in (times[0], times[-1])]
+    for index, texture in zip((0, len(times) - 1), textures, strict=True):
+        found = read(page, f"dyed?film={film}&frame={index}")
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(found)).convert("RGB")), texture)
+    assert not np.array_equal(*textures)
+    focus(page, "time-line")
+    page.press("End")
+    page.wait(f"{RUN}.screen.dressed === {len(times) - 1} && !{RUN}.screen.dressing")
 
 
 def test_dyed_cloth_is_shown_by_its_pictures(page: Page, server: Server) -> None:
