@@ -40,7 +40,6 @@ class Start:
 
     loaded: Loaded
     sight: Sight
-    fabric: Fabric
     objects: Sequence[Fabric]
 
     @cached_property
@@ -62,9 +61,9 @@ class Starts:
 
         text: the arguments of `scenes.load`.
         """
-        sight, fabric, objects = self._workshop.make(page, _build, *text)
+        sight, _, objects = self._workshop.make(page, _build, *text)
         number = next(self._numbers)
-        self.kept[number] = Start(loaded, Board(sight).now, fabric, objects)
+        self.kept[number] = Start(loaded, Board(sight).now, objects)
         for old in sorted(self.kept)[:-MOST]:
             self.kept.pop(old, None)
         return {"number": number, "words": NO_DYE if loaded.scene.dye is not None else ""}

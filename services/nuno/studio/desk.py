@@ -24,10 +24,9 @@ from nuno.studio.cloth import Starts
 from nuno.studio.dropped_files import MOST
 from nuno.studio.dye import Dyed, cloth_of
 from nuno.studio.files import FILE_ACTS, Files
-from nuno.studio.fit import Fits
 from nuno.studio.lines import Drawing
 from nuno.studio.processes import Child, Workshop
-from nuno.studio.recordings import Recordings, run_of
+from nuno.studio.recordings import Recordings, measure_fit, run_of
 from nuno.studio.run import Run
 from nuno.studio.scenes import MARK, read_text
 from nuno.studio.screen import Screen
@@ -154,11 +153,13 @@ def _feel(preset: Preset) -> dict[str, float]:
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "paint", "swatches", "leave",
+    "paint", "fit", "swatches", "leave",
 )  # fmt: skip
 """Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
 """Limits of building cloth for a page [s, bytes], and of planning [s]: the first time compiles kernels."""
+MOST_FITS = 8
+"""Fits that are kept."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """Actions of a run that a page may request, as `nuno control`."""
 OF_FILMS = ("replay", "plots", "compare")
@@ -180,7 +181,10 @@ class Desk:
         self._previews = Workshop("building the cloth for a look", LOOKS[0], remedy, LOOKS[1])
         self._plans = Workshop("planning", PLANS, "run it; its first frame is what takes long")
         self._measures = Workshop("measuring the fit", PLANS, "nuno fit has no such limit")
-        self._fits = Fits(self.recordings, self._measures)
+        self._measuring = threading.Lock()
+        self._measure = functools.lru_cache(MOST_FITS)(
+            lambda path, stamp, body: self._measures.make(path.name, measure_fit, path, body)
+        )
         self._starts, self._dyed_cloth = Starts(self._previews), Dyed(self._previews)
         self._drawing = Drawing(self._starts)
         self._starting = threading.Lock()
@@ -229,14 +233,12 @@ class Desk:
             answer = getattr(self.screen, name)(request)
         elif name in FILE_ACTS:
             answer = getattr(self.files, name)(request)
-        elif name == "fit":
-            answer = self._fits.fit(request)
         elif name == "export":
             answer = self.exports.export(request)
         elif name in ACTS:
             answer = getattr(self, f"_{name}")(request)
         else:
-            names = *ACTS, "recordings", "fit", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
+            names = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
             raise BadInput("no such request", value=name, limit=", ".join(names))
         return answer
 
@@ -265,6 +267,13 @@ class Desk:
             "folder": str(Path.cwd()),
             "scenes": [one | {"picture": pictures.get(one["scene"])} for one in self.scenes.list()],
         }
+
+    def _fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fit of a recording's garments on a body, which may be omitted if it is the only one."""
+        path, body = self.recordings.find(request.get("recording")), request.get("body")
+        with self._measuring:  # a page may ask twice for one that takes long
+            found: dict[str, Any] = self._measure(path, stamp_of(path), None if body is None else str(body))
+        return found
 
     def _swatches(self, request: Mapping[str, Any]) -> dict[str, Any]:
         return self._looks()

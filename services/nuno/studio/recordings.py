@@ -7,15 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from nuno.formatting import duration
+from nuno.python_api.fit import map_fits
 from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
+from nuno.report.fit_report import pressing, remarks, tables, verdict
 from nuno.report.run_report import recorded_lines
 from nuno.runtime import log, outcome, runs
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import restored_scene
 from nuno.studio.processes import Child
 from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
 
 PICTURE = ".png"
 WHOLE = ".mcap"
@@ -133,6 +138,28 @@ class Recordings:
 def run_of(name: str) -> str:
     """Return the name of a recording's run."""
     return name.removesuffix(PART).removesuffix(WHOLE)
+
+
+def measure_fit(path: Path, body: str | None) -> dict[str, Any]:
+    """Return the fit of each garment on a body, which may be None if it is the only one, at the last frame, in which it
+    is worn and no longer put on: tables, remarks, and maps over its vertices. Raises BadInput.
+    """
+    with open_recording(path) as recording:
+        found, frame = map_fits(recording, body=body), max(number for number, _ in recording.marks().values())
+    garments = [
+        {
+            "name": fit.name, "on": fit.on, "verdict": verdict(fit), "tables": tables(fit),
+            "remarks": [*pressing(fit), *remarks(fit)], "start": over.start,
+            "pressure": _numbers(over.pressure), "stretch": _numbers(100.0 * over.strain),
+        }
+        for fit, over in found
+    ]  # fmt: skip
+    return {"frame": frame, "garments": garments}
+
+
+def _numbers(values: Float) -> list[float | None]:
+    """Return values with four digits for JSON, None for those that are not finite."""
+    return [float(f"{v:.4g}") if np.isfinite(v) else None for v in values.tolist()]
 
 
 def _ends(report: Mapping[str, Any]) -> list[tuple[str, str]]:
