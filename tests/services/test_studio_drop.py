@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 from pathlib import Path
 
@@ -109,6 +111,18 @@ def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
     assert unit == "Pa" and 0.3 * over.pressure[vertex] < float(value) <= 1.001 * over.pressure.max()
     ticks = page.value("[...document.querySelectorAll('#map-scale b')].map((one) => Number(one.textContent))")
     assert len(ticks) > 2 and np.allclose(np.diff(ticks), ticks[1] - ticks[0]) and ticks[-1] <= over.pressure.max()
+    # An edge of the flat pattern is picked there, and marked on the garment.
+    panel = json.loads((shared_data / "patterns" / "shirt.json").read_text())["pattern"]["panels"]["left_ftorso"]
+    ends = [panel["vertices"][i] for i in panel["edges"][1]["endpoints"]]
+    pink = [(page.picture().astype(int)[..., 0] - page.picture()[..., 1] > 120).sum()]
+    page.value("document.querySelector('[aria-label=\"left_ftorso, edge 1\"]').dispatchEvent(new Event('click'))")
+    page.wait("!nuno.run.screen.stage.asked")
+    said = page.value("document.querySelector('.flat + p').textContent").split()
+    assert (
+        float(said[4]) == pytest.approx(math.dist(*ends), abs=0.06) and abs(float(said[7]) / float(said[4]) - 1.0) < 0.1
+    )
+    pink.append((page.picture().astype(int)[..., 0] - page.picture()[..., 1] > 120).sum())
+    assert pink[1] > pink[0] + 60
     # Nothing of it goes on, and a body that is not there is said.
     assert served[0].act({"do": "fit", "recording": page.value("nuno.run.name")})["garments"][0]["name"] == "shirt"
     with pytest.raises(BadInput, match="no such body"):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from nuno.python_api.fit import Fit, Girth, Seam, Spread
+from nuno.python_api.fit import Fit, Girth, Seam
 
 SEAMS = 8
 """Most seams in the text, those with the largest pull."""
 UNBALANCED = 0.1
 """Sum of all forces, as a share of those of contact, above which a remark says that they do not balance."""
-Table = list[list[str]]
-"""Rows of cells; the first has the headings."""
 
 
-def tables(fit: Fit) -> list[Table]:
+def tables(fit: Fit) -> list[list[list[str]]]:
     """Return tables of girths and ease, openings, strains and seams, in centimetres; without those that are empty."""
     girths = [["at", "height cm", "body cm", "cut cm", "worn cm", "ease cm"], *map(_row, fit.girths)]
     openings = [["opening", "from cm", "to cm", "cut cm", "round cm"]]
@@ -20,7 +18,8 @@ def tables(fit: Fit) -> list[Table]:
                   " + ".join(f"{1e2 * girth:.1f}" for girth in one.through) or "-"]
                  for i, one in enumerate(fit.openings, 1)]  # fmt: skip
     strains = [["strain", "median %", "95 % below", "most %"]]
-    strains += [[name, *_percents(spread)] for name, spread in fit.strains.items()]
+    strains += [[name, *(f"{100 * value:+.1f}" for value in (one.median, one.high, one.most))]
+                for name, one in fit.strains.items()]  # fmt: skip
     found = [girths, openings, strains, *([_seam_rows(fit.seams)] if fit.seams else [])]
     return [rows for rows in found if len(rows) > 1 or rows is strains]
 
@@ -79,16 +78,7 @@ def _seam_rows(seams: list[Seam]) -> list[list[str]]:
 
 def _row(one: Girth) -> list[str]:
     open_ = one.share is not None and one.ease is None and one.body is not None
-    ease = (
-        f"open, {100 * (one.share or 0):.0f} % round"
-        if open_
-        else "-"
-        if one.ease is None
-        else f"{1e2 * one.ease:+.1f}"
-    )
+    without = f"open, {100 * (one.share or 0):.0f} % round" if open_ else "-"
+    ease = without if one.ease is None else f"{1e2 * one.ease:+.1f}"
     cells = ["-" if value is None else f"{1e2 * value:.1f}" for value in (one.body, one.cut, one.worn)]
     return [one.name, f"{1e2 * one.height:.1f}", *cells, ease]
-
-
-def _percents(spread: Spread) -> list[str]:
-    return [f"{100 * value:+.1f}" for value in (spread.median, spread.high, spread.most)]

@@ -158,8 +158,6 @@ ACTS = (
 """Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
 """Limits of building cloth for a page [s, bytes], and of planning [s]: the first time compiles kernels."""
-MOST_FITS = 8
-"""Fits that are kept."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """Actions of a run that a page may request, as `nuno control`."""
 OF_FILMS = ("replay", "plots", "compare")
@@ -182,7 +180,7 @@ class Desk:
         self._plans = Workshop("planning", PLANS, "run it; its first frame is what takes long")
         self._measures = Workshop("measuring the fit", PLANS, "nuno fit has no such limit")
         self._measuring = threading.Lock()
-        self._measure = functools.lru_cache(MOST_FITS)(
+        self._measure = functools.lru_cache(8)(
             lambda path, stamp, body: self._measures.make(path.name, measure_fit, path, body)
         )
         self._starts, self._dyed_cloth = Starts(self._previews), Dyed(self._previews)

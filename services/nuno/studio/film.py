@@ -26,6 +26,9 @@ from nuno_schemas.fabric import Float, Int
 from nuno_schemas.messages import BODIES, CONCENTRATION, DYE_STATUS, FABRIC, GEOMETRY, STATE, STATUS
 from nuno_schemas.pictures import Picture
 
+EDGES = 1024
+"""More than the edges of a panel."""
+
 # The topology and colours of a recording's cloth, as the page shows them.
 
 
@@ -43,6 +46,22 @@ class Shape:
     rest: NDArray[np.float32]
     printed: int | None = None
     uv: NDArray[np.float32] | None = None
+
+    def sewn(self) -> tuple[list[str], dict[str, NDArray[np.float32]]]:
+        """Return the names of all panels; of each triangle's corners the flat positions `flat` (f, 6) [m], and of its
+        sides `side` (f, 3) the panel and the edge that they lie on, as EDGES * panel + edge; NaN for none.
+        """
+        names, parts = list[str](), []
+        for piece in self.pieces:
+            part, own = np.full((len(piece.faces), 9), np.nan, np.float32), piece.corners
+            if own is not None and (panels := own.panels) is not None:
+                of = np.maximum(panels.of, 0)[:, None]
+                part[:, :6] = own.points[own.faces].reshape(-1, 6) * panels.unit[of]
+                part[:, 6:] = np.where(panels.edge >= 0, EDGES * (of + len(names)) + panels.edge, np.nan)
+                names += panels.names
+            parts.append(part)
+        flat, side = np.split(np.concatenate([np.zeros((0, 9), np.float32), *parts]), [6], axis=1)
+        return names, {"flat": flat, "side": side} if names else {}
 
     def same_as(self, other: Shape) -> bool:
         """Return whether both have the same pieces, vertices, triangles and edges."""

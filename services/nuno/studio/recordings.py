@@ -26,8 +26,6 @@ PICTURE = ".png"
 WHOLE = ".mcap"
 PART = part_of(Path(WHOLE)).name
 """Endings of the names of recordings: of finished ones, and of unfinished ones."""
-DEEP = 1e-4
-"""Depth in a body from which on it is said at the end of a run [m]."""
 
 
 class Recordings:
@@ -67,10 +65,7 @@ class Recordings:
         return {facts["scene"]: facts["name"] for facts in newest}
 
     def open(self, name: object) -> dict[str, Any]:
-        """Return the rows of a recording's report, first what a maker asks; its gaps, and whether it is of dye alone.
-
-        Raises BadInput.
-        """
+        """Return the rows of a report and of `_ends`, the gaps, and whether it is of dye alone. Raises BadInput."""
         path = self.find(name)
         with open_recording(path) as recording:
             report, lacks = recording.report(), shortcoming(recording)
@@ -167,9 +162,7 @@ def _ends(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     try:
         facts, wall, prepared = report.get("cloth_contact"), report["wall_seconds"], report["prepare_seconds"]
         crosses = outcome.problem(facts) or (facts and "nothing: cloth passes through neither cloth nor body")
-        deep = report["last_penetration"] or 0.0
-        inside = f"; cloth is {1e3 * deep:.2g} mm deep in a body at the end" if deep > DEEP else ""
-        text = f"{crosses or 'not looked for: the scene has no cloth_contact'}{inside}"
+        text = crosses or "not looked for: the scene has no cloth_contact"
         took = f"{duration(wall + prepared)}, of which {duration(prepared)} to get ready"
     except (LookupError, TypeError, ValueError, AttributeError):  # a report from elsewhere
         return []

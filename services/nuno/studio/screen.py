@@ -280,7 +280,9 @@ class Screen:
         if shape.uv is not None:
             arrays["uv"] = shape.uv
         pieces = [{name: getattr(piece, name) for name in SAID} for piece in shape.pieces]
-        return BYTES, pack({"dyed": bool(film.recording.scene.get("dye")), "pieces": pieces}, arrays)
+        panels, sewn = shape.sewn()
+        arrays |= sewn
+        return BYTES, pack({"panels": panels, "dyed": bool(film.recording.scene.get("dye")), "pieces": pieces}, arrays)
 
     def dyed(self, query: Mapping[str, list[str]]) -> tuple[str, bytes]:
         """Return a picture of dyed cloth at a frame of a film. Raises Refused."""

@@ -3,7 +3,7 @@ import { make } from "./dom.js";
 const HEIGHT = 132, LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 34;
 const SVG = "http://www.w3.org/2000/svg";
 
-const draw = (tag, props, ...children) => {
+export const draw = (tag, props, ...children) => {
   const node = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(props)) node.setAttribute(name, value);
   node.append(...children);
