@@ -28,19 +28,22 @@ from nuno.simulation.cloth import Piece, join_fabrics
 from nuno.simulation.service import NOW
 from nuno.simulation.yarns import structural_edges
 from nuno.studio.server import whole
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Corners, Fabric, Float, Int
 from nuno_schemas.messages import BODIES, EVENT, FABRIC, STATE, Event, Topic
 
 GROUND = 4.0
-"""Edge of the square that represents a plane, in sizes of the cloth."""
+"""Edge of the square that represents a plane that is not level, in sizes of the cloth."""
 
 
 def draw_bodies(geometry: Geometry | None, size: float) -> Surfaces:
     """Return the surfaces of a scene's bodies for cloth of a size [m]."""
-    return NO_SURFACES if geometry is None else surface(geometry, GROUND * size)
+    if geometry is None:
+        return NO_SURFACES
+    level = geometry.b[geometry.kind == PLANE, 1] > 1.0 - 1e-9  # the page draws such a floor
+    return surface(geometry, 0.0 if level.all() else GROUND * size)
 
 
 def size_of(x: Float) -> float:

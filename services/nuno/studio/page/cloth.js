@@ -10,8 +10,7 @@ import { follow, frameOf } from "./link.js";
 import { Paint } from "./paint.js";
 import { toast } from "./say.js";
 import { colours, DECADES, stretched } from "./scale.js";
-import { sides } from "./replay.js";
-import { Bar } from "./screen.js";
+import { Bar, sides } from "./screen.js";
 import { factor } from "./words.js";
 
 /** How long a text stays as it is [ms] until its cloth is built. */

@@ -4,9 +4,8 @@ import { Camera } from "./math.js";
 import { Player } from "./player.js";
 import { Plot, figure } from "./plot.js";
 import { Reel } from "./reel.js";
-import { press } from "./replay.js";
 import { taken } from "./say.js";
-import { Bar, Screen } from "./screen.js";
+import { Bar, press, Screen } from "./screen.js";
 
 /** How often it is asked how far two runs are apart, while that is measured [ms]. */
 const OFTEN = 300;

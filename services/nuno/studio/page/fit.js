@@ -16,7 +16,6 @@ const table = ([heads, ...rows]) => {
 
 /** How the garments of a recording fit at its last frame, in which they are worn: the tables of nuno fit, and maps on the cloth. */
 export class Fit {
-  /** screen: shows the last frame. */
   constructor(recording, screen) {
     Object.assign(this, { recording, screen, by: "stretch" });
     this.box = make("aside", { className: "fit", ariaLabel: "Fit", id: "fit" }, make("p", { className: "soft", textContent: "Measuring the garment on the body, at the last frame. This takes seconds to a minute: the frame is simulated again for its forces." }));

@@ -1,12 +1,9 @@
 import { ask } from "./ask.js";
 import { Cloth } from "./cloth.js";
-import { Compare } from "./compare.js";
 import { dock } from "./dock.js";
 import { make } from "./dom.js";
 import { files, takeFiles } from "./files.js";
 import { gallery } from "./gallery.js";
-import { recording, recordings } from "./recordings.js";
-import { Replay } from "./replay.js";
 import { confirm, quiet } from "./say.js";
 import { SceneView } from "./scene.js";
 
@@ -72,10 +69,14 @@ async function route() {
     scene = new WeaveView(view, name);
     await scene.open();
   }
-  else if (what === "runs") await recordings(view);
   else if (what === "files") await files(view);
-  else if (what === "run" || what === "fit") { run = new Replay(name, what === "fit"); await recording(view, name, run); }
-  else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
+  else if (["runs", "run", "fit", "compare"].includes(what)) {
+    const [{ recording, recordings }, { Replay }, { Compare }] = await Promise.all([import("./recordings.js"), import("./replay.js"), import("./compare.js")]);
+    if (shown !== hash) return;
+    if (what === "runs") await recordings(view);
+    else if (what === "compare") { run = new Compare(view, text.split(",").map(decodeURIComponent)); await run.open(); }
+    else { run = new Replay(name, what === "fit"); await recording(view, name, run); }
+  }
   else await gallery(view);
   if (shown !== hash) return;
   view.dataset.shown = hash;

@@ -12,9 +12,7 @@ export class Maker extends Form {
   /** Take the files of the folder as choices. */
   async list() {
     const answer = await ask("files");
-    if (!answer.ok) return;
-    this.files = answer.files;
-    this.again();
+    if (answer.ok) { this.files = answer.files; this.again(); }
   }
 
   /** Mistakes stand here while the form is not seen. */
@@ -35,7 +33,7 @@ export class Maker extends Form {
   fields() {
     const { objects, bodies } = this.data, lists = [objects, bodies].map((one) => (Array.isArray(one) ? one : []));
     const rows = lists[0].flatMap((one, i) => this.garment(one ?? {}, ["objects", i], lists[0].length > 1));
-    rows.push(...lists[1].flatMap((one, i) => this.file("Body", MESHES, ["bodies", i, "collider", "file"]) ?? this.plain("Body", [one?.name, one?.motion && `moved by ${one.motion.plugin ?? one.motion}`].filter(Boolean).join(", "))));
+    rows.push(...lists[1].flatMap((one, i) => one?.collider?.plugin === "plane" ? [] : this.file("Body", MESHES, ["bodies", i, "collider", "file"]) ?? this.plain("Body", [one?.name, one?.motion && `moved by ${one.motion.plugin ?? one.motion}`].filter(Boolean).join(", "))));
     return rows.length ? rows : [make("p", { className: "soft", textContent: "This scene has no garment and no body: what it has is behind Advanced." })];
   }
 

@@ -6,13 +6,7 @@ import { Player } from "./player.js";
 import { Plot } from "./plot.js";
 import { Reel } from "./reel.js";
 import { DECADES } from "./scale.js";
-import { Bar, Picture, Screen } from "./screen.js";
-
-/** A text as a switch that a button is. */
-export const press = (id, textContent, title, does) => make("button", { type: "button", id, textContent, title, onclick: does });
-
-/** Buttons to look from a side. */
-export const sides = (stage) => [["Front", 0], ["Side", Math.PI / 2], ["Back", Math.PI]].map(([text, azimuth]) => press(`from-${text.toLowerCase()}`, text, `From ${text === "Side" ? "the body's left" : `the ${text.toLowerCase()}`}`, () => stage().from(azimuth)));
+import { Bar, Picture, press, Screen, sides } from "./screen.js";
 
 /** One recording: its cloth and bodies at any frame, and its series over time. */
 export class Replay {

@@ -3,6 +3,12 @@ import { Orbit } from "./orbit.js";
 import { colours, gradient, stretched } from "./scale.js";
 import { Stage } from "./stage.js";
 
+/** A text as a switch that a button is. */
+export const press = (id, textContent, title, does) => make("button", { type: "button", id, textContent, title, onclick: does });
+
+/** Buttons to look from a side. */
+export const sides = (stage) => [["Front", 0], ["Side", Math.PI / 2], ["Back", Math.PI]].map(([text, azimuth]) => press(`from-${text.toLowerCase()}`, text, `From ${text === "Side" ? "the body's left" : `the ${text.toLowerCase()}`}`, () => stage().from(azimuth)));
+
 /** Frames of a reel in 3-D, in the scene's own colours or by what is measured on each vertex. */
 export class Screen {
   /** name: beside it, of one of several; camera: that several share. */
