@@ -23,8 +23,6 @@ PICTURES = Path(__file__).resolve().parent / "pictures"
 SIZE = 1280, 800
 PATIENCE = 1800.0
 """The first run on a machine compiles kernels [s]."""
-COLOURS = 200
-"""Of a picture, which keeps it small."""
 MOVE = "Input.dispatchMouseEvent"
 
 
@@ -107,8 +105,7 @@ def main(names: list[str]) -> None:
 
 def save(page: Page, path: Path) -> None:
     data = base64.b64decode(page.call("Page.captureScreenshot", format="png")["data"])
-    image = Image.open(io.BytesIO(data)).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    image.save(path, optimize=True)
+    Image.open(io.BytesIO(data)).convert("RGB").save(path, optimize=True)
     print(path)
 
 

@@ -106,8 +106,8 @@ def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
     seen = page.value(f"nuno.run.screen.stage.camera.project({x[vertex].tolist()})")
     left, top = page.value("(({x, y}) => [x, y])(document.getElementById('film').getBoundingClientRect())")
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + seen["x"], y=top + seen["y"])
-    page.wait("!document.querySelector('.here').hidden")
-    value, unit = page.value("document.querySelector('.here').textContent").split()
+    page.wait("!document.querySelector('.below-mouse').hidden")
+    value, unit = page.value("document.querySelector('.below-mouse').textContent").split()
     assert unit == "Pa" and 0.3 * over.pressure[vertex] < float(value) <= 1.001 * over.pressure.max()
     ticks = page.value("[...document.querySelectorAll('#map-scale b')].map((one) => Number(one.textContent))")
     assert len(ticks) > 2 and np.allclose(np.diff(ticks), ticks[1] - ticks[0]) and ticks[-1] <= over.pressure.max()
@@ -117,7 +117,7 @@ def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
     pink = [(page.picture().astype(int)[..., 0] - page.picture()[..., 1] > 120).sum()]
     page.value("document.querySelector('[aria-label=\"left_ftorso, edge 1\"]').dispatchEvent(new Event('click'))")
     page.wait("!nuno.run.screen.stage.asked")
-    said = page.value("document.querySelector('.flat + p').textContent").split()
+    said = page.value("document.querySelector('.panels + p').textContent").split()
     assert (
         float(said[4]) == pytest.approx(math.dist(*ends), abs=0.06) and abs(float(said[7]) / float(said[4]) - 1.0) < 0.1
     )

@@ -19,7 +19,7 @@ export class Fit {
   constructor(recording, screen) {
     Object.assign(this, { recording, screen, by: "stretch" });
     this.box = make("aside", { className: "fit", ariaLabel: "Fit", id: "fit" }, make("p", { className: "soft", textContent: "Measuring the garment on the body, at the last frame. This takes seconds to a minute: the frame is simulated again for its forces." }));
-    this.here = make("output", { className: "here", hidden: true });
+    this.here = make("output", { className: "below-mouse", hidden: true });
     this.maps = make("div", { className: "tools maps", hidden: true }, ...Object.entries(MAPS).map(([by, [textContent]]) => make("button", { type: "button", id: `map-${by}`, textContent, onclick: () => this.colour(by) })));
     screen.box.append(this.maps, this.here);
     screen.canvas.addEventListener("pointermove", (e) => this.point(e));

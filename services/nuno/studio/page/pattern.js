@@ -35,5 +35,5 @@ export function patternOf(screen) {
     const [[x, w], [y, h]] = points[i].map((all) => { const low = all.reduce((a, b) => Math.min(a, b), Infinity); return [low - RIM, all.reduce((a, b) => Math.max(a, b), low) - low + 2 * RIM]; });
     for (const [key, value] of Object.entries({ viewBox: `${x} ${y} ${w} ${h}`, width: SCALE * w, height: SCALE * h, "aria-label": panels[i] })) box.setAttribute(key, value);
   });
-  return make("div", {}, make("div", { className: "flat" }, ...boxes), said);
+  return make("div", {}, make("div", { className: "panels" }, ...boxes), said);
 }
