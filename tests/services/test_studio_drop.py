@@ -86,7 +86,7 @@ def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
     page.wait("nuno.scene?.name === 'shirt-worn.yaml' && document.getElementById('verdict')?.textContent", PATIENCE)
     assert page.value("!document.getElementById('text').checkVisibility()")  # what a maker need not know
     page.tap("#run")
-    page.wait("nuno.dock.now.state === 'over' && document.getElementById('to-fit')", 2 * PATIENCE)
+    page.wait("nuno.dock.now.state === 'over' && document.getElementById('to-fit') !== null", 2 * PATIENCE)
     page.tap("#to-fit")
     page.wait("Boolean(nuno.run?.fit?.values)", PATIENCE)
     assert page.clicks == 3
