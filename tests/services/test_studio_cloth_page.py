@@ -134,7 +134,7 @@ def test_a_print_lies_on_the_cloth_as_its_texture_coordinates_say(page: Page, se
             if y < 70 or min(abs(share - edge) for edge in (0.0, 0.5, 1.0)) < 0.03:
                 continue  # below the buttons, or at an edge of the print
             red, green, _ = seen[round(top + y), round(left + x)]
-            assert (red > green) is (share < 0.5), (v, share)
+            assert bool(red > green) is (share < 0.5), (v, share)
             checked += 1
         assert checked > 10
     page.click("cloth-stretch")  # colours of stretch are not printed over

@@ -237,9 +237,9 @@ def test_a_picture_is_of_the_frame_and_from_the_camera_of_the_page(page: Page, s
     look_at(page, server, "red.mcap")
     page.value(f"{RUN}.player.go(17)")
     at(page, 17)
-    page.click("from-back")
-    page.value(f"Object.assign({RUN}.screen.stage.camera, {{ azimuth: 2.4, elevation: 0.35 }})")
-    page.value(f"{RUN}.screen.stage.camera.zoom(0.8)")
+    page.click("from-side")
+    page.value(f"Object.assign({RUN}.screen.stage.camera, {{ azimuth: 0.7, elevation: 0.35 }})")
+    page.value(f"{RUN}.screen.stage.camera.zoom(1.4)")
     page.value(f"{RUN}.screen.stage.camera.changed()")
     page.wait(f"!{RUN}.screen.stage.asked")
     box = "(({x, y, width, height}) => [x, y, width, height])(document.getElementById('film').getBoundingClientRect())"

@@ -161,7 +161,7 @@ export class Form {
       this.placed.add(mistake);
       row.classList.add("wrong");
       control?.setAttribute("aria-invalid", "true");
-      for (let box = row.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
+      for (let box = row.closest(".section"); box; box = box.parentElement.closest(".section")) box.open = true;
     }
   }
 }
