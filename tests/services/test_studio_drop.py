@@ -14,7 +14,7 @@ from studio_desk import FILE, NEEDS_BROWSER, look
 
 import nuno
 from nuno.python_api.fit import map_fits
-from nuno.report.fit_report import tables
+from nuno.python_api.fit_report import tables
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server
@@ -24,6 +24,19 @@ pytestmark = [pytest.mark.full, NEEDS_BROWSER]
 PATIENCE = 300.0
 """The first run on a machine compiles kernels [s]."""
 MOST_CLICKS = 5
+
+
+PRESSED = """(() => {
+  const { values, screen } = nuno.run.fit, { stage } = screen, { x, faces } = stage.cloth, p = values.pressure;
+  let best = null;
+  for (let v = 0; v < p.length; v++) {
+    const at = stage.camera.project([...x.slice(3 * v, 3 * v + 3)]), hit = at && at.y > 110 && stage.pick(at.x, at.y);
+    const shares = hit ? [1 - hit.u - hit.v, hit.u, hit.v] : [];
+    const own = shares.some((s, k) => s > 0.9 && faces[3 * hit.face + k] === v);
+    if (own && !(p[v] <= best?.[3])) best = [v, at.x, at.y, p[v]];
+  }
+  return best.slice(0, 3); })()"""
+"""The vertex with the largest pressure of those that are seen below the buttons, and where it is."""
 
 
 @pytest.fixture(autouse=True)
@@ -102,13 +115,12 @@ def test_from_a_dropped_pattern_and_body_to_the_fit_table_in_three_clicks(
     x = np.array(page.value("[...nuno.run.screen.stage.cloth.x]")).reshape(-1, 3)
     assert np.allclose(x + page.value("nuno.run.screen.frame.origin"), last, atol=1e-5)
     page.click("map-pressure")
-    vertex = int(np.argmax(over.pressure * (last[:, 2] > last[:, 2].mean())))
-    seen = page.value(f"nuno.run.screen.stage.camera.project({x[vertex].tolist()})")
+    vertex, x, y = page.value(PRESSED)
     left, top = page.value("(({x, y}) => [x, y])(document.getElementById('film').getBoundingClientRect())")
-    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + seen["x"], y=top + seen["y"])
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + x, y=top + y)
     page.wait("!document.querySelector('.below-mouse').hidden")
     value, unit = page.value("document.querySelector('.below-mouse').textContent").split()
-    assert unit == "Pa" and 0.3 * over.pressure[vertex] < float(value) <= 1.001 * over.pressure.max()
+    assert unit == "Pa" and 0.5 * over.pressure[vertex] < float(value) <= 1.001 * over.pressure.max()
     ticks = page.value("[...document.querySelectorAll('#map-scale b')].map((one) => Number(one.textContent))")
     assert len(ticks) > 2 and np.allclose(np.diff(ticks), ticks[1] - ticks[0]) and ticks[-1] <= over.pressure.max()
     # An edge of the flat pattern is picked there, and marked on the garment.

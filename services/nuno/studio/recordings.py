@@ -11,9 +11,9 @@ import numpy as np
 
 from nuno.formatting import duration
 from nuno.python_api.fit import map_fits
+from nuno.python_api.fit_report import pressing, remarks, tables, verdict
 from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
-from nuno.report.fit_report import pressing, remarks, tables, verdict
 from nuno.report.run_report import recorded_lines
 from nuno.runtime import log, outcome, runs
 from nuno.scene.files import stamp_of
