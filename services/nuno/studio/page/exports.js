@@ -15,7 +15,7 @@ export function exporter(recording, dyed, replay) {
   size.setAttribute("list", "export-sizes");
   const sizes = make("datalist", { id: "export-sizes" }, ...["960x720", "1280x720", "1920x1080", "3840x2160"].map((value) => make("option", { value })));
   const status = make("div", { id: "exported", role: "status" });
-  const buttons = KINDS.filter(([kind]) => !dyed || kind !== "glb").map(([kind, text, title]) => make("button", { type: "button", id: `export-${kind}`, textContent: text, title, onclick: (e) => save(recording, kind, e.currentTarget, status, replay.screen?.stage ? { ...replay.seen(kind), size: size.value.trim() } : {}) }));
+  const buttons = KINDS.filter(([kind]) => !dyed || kind !== "glb").map(([kind, text, title]) => make("button", { type: "button", id: `export-${kind}`, textContent: text, title, onclick: (e) => save(recording, kind, e.currentTarget, status, ["png", "mp4"].includes(kind) && replay.screen?.stage && replay.screen.frame ? { ...replay.seen(kind), size: size.value.trim() } : {}) }));
   return make("section", { className: "panel exports", ariaLabel: "Save as a file" }, make("span", { className: "soft", textContent: "Save as" }), make("span", { className: "group" }, ...buttons), ...(dyed ? [] : [make("label", { className: "soft" }, "of ", size, " pixels"), sizes]), status);
 }
 
