@@ -61,7 +61,7 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
     fabrics = cloth.build_fabrics(loaded, geometry, poses)
     fabric, pieces = join_fabrics(fabrics, loaded.scene.name), cloth.place_pieces(loaded, fabrics)
-    drawn = draw_bodies(geometry, size_of(fabric.position))
+    drawn = draw_bodies(bodies.drawn if bodies else None, size_of(fabric.position))
     edges, rest = structural_edges(fabric)
     uv, image = _print(loaded, fabric, pieces)
     sight = Sight(
