@@ -42,7 +42,7 @@ class Person(NamedTuple):
 @cache
 def read_person() -> Person:
     """Read the skin that comes with the project."""
-    with np.load(DATA) as data:
+    with np.load(DATA, allow_pickle=False) as data:
         figure = Figure(dict(zip(data["names"].tolist(), data["places"], strict=True)), float(data["height"]))
         weight = data["weight"].astype(np.float64)
         return Person(
