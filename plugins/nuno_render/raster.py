@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from nuno_kernels import kernel
 from nuno_render.annotate import annotate
 from nuno_render.config import RasterConfig
+from nuno_render.refine import refine
 from nuno_render.scene import DrawnScene, gather
 from nuno_render.shading.ground import Ground, background, fade_at, find_ground, lay_floor
 from nuno_render.shading.lighting import Lights, floor_openness, prepare_lights, shadow, tangents, unit
@@ -354,7 +355,7 @@ def radiance(config: RasterConfig, meshes: list[Mesh], camera: Camera) -> Float:
     width, height = camera.size
     up = unit(np.array(config.up))
     origin = np.asarray(camera.target, np.float64)
-    scene = gather(meshes, origin, up)
+    scene = gather(refine(meshes, camera), origin, up)
     clip = _project(scene.positions - sight.eye, sight, camera.size)
     lights = prepare_lights(config, scene, camera, up)
     lowest = scene.lowest if len(scene.faces) else math.inf

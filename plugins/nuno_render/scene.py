@@ -159,11 +159,12 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
     used = np.zeros(len(positions), np.bool_)
     used[faces] = True
     drawn = positions[used] if len(faces) else np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    own = join_rows([np.full((len(m.vertices), 3), np.nan) if m.normals is None else m.normals for m in meshes], 3)
     centre = (drawn.min(axis=0) + drawn.max(axis=0)) / 2.0
     radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max()))
     return DrawnScene(
         positions,
-        vertex_normals(positions, faces, _twins(meshes, positions)),
+        np.where(np.isfinite(own), own, vertex_normals(positions, faces, np.arange(len(positions), dtype=np.int32))),
         join_rows([_albedo(m) for m in meshes], 3),
         join_rows(
             [np.zeros((len(m.vertices), 2)) if m.uv is None else np.asarray(m.uv, np.float64) for m in meshes], 2
@@ -204,6 +205,7 @@ def check_mesh(mesh: Mesh, name: str) -> None:
         "faces": (mesh.faces, (len(mesh.faces), 3)),
         "colours": (mesh.colours, (count, 3)),
         "uv": (mesh.uv, (count, 2)),
+        "normals": (mesh.normals, (count, 3)),
     }
     for field, (array, shape) in shapes.items():
         if array is not None and np.shape(array) != shape:
@@ -226,50 +228,31 @@ def _albedo(mesh: Mesh) -> Float:
     return np.tile(parse_hex(CLOTH if mesh.two_sided else BODY), (len(mesh.vertices), 1))
 
 
-def _twins(meshes: list[Mesh], positions: Float) -> Int:
-    """Return the vertex (n,) with which each one shares its normal. Cloth with a texture seam has pairs of vertices at
-    one place; with separate normals the seam would show as a crease. Bodies keep theirs: a box is made of such pairs.
+def find_twins(x: Float) -> Int:
+    """Return for each of the points x (n, 3) one of those at its place. Cloth with a texture seam has pairs of vertices
+    at one place, whose normals are shared: else the seam would show as a crease. A box is made of such pairs, too.
     """
-    result = np.arange(len(positions), dtype=np.int32)
-    start = 0
-    for mesh in meshes:
-        count = len(mesh.vertices)
-        if mesh.two_sided and mesh.uv is not None and count:
-            part = positions[start : start + count]
-            order = np.lexsort(part.T)
-            fresh = np.ones(count, np.bool_)
-            fresh[1:] = (part[order[1:]] != part[order[:-1]]).any(axis=1)
-            result[start + order] = start + order[np.flatnonzero(fresh)[np.cumsum(fresh) - 1]]
-        start += count
-    return result
+    _, first, back = np.unique(x, axis=0, return_index=True, return_inverse=True)
+    return first[back.reshape(-1)].astype(np.int32)
 
 
-def vertex_normals(positions: Float, faces: Int, twins: Int) -> Float:
-    """Return unit normals (n, 3): the mean of the faces around a vertex, weighted by area.
+def vertex_normals(x: Float, faces: Int, twins: Int) -> Float:
+    """Return unit normals (n, 3): the mean of the faces around a vertex, weighted by their angles there, which do not
+    depend on the way in which squares are halved, as areas do.
 
-    twins (n,) maps a vertex to the one that collects its faces. A vertex without faces, or
-    whose faces cancel, gets (0, 0, 1).
+    twins (n,) maps a vertex to the one that collects its faces. A vertex without faces, or whose faces cancel, gets
+    (0, 0, 1).
     """
-    normals = np.zeros_like(positions)
-    _add_face_normals(positions, faces, twins, normals)
-    normals = normals[twins]
-    lengths = np.sqrt((normals**2).sum(axis=1))
-    safe = lengths > 0.0
-    normals[safe] /= lengths[safe, None]
-    normals[~safe] = (0.0, 0.0, 1.0)
-    return normals
+    p = x[faces]
+    ahead, behind = unit_rows(np.roll(p, -1, axis=1) - p), unit_rows(np.roll(p, 1, axis=1) - p)
+    flat = unit_rows(np.cross(ahead[:, 0], behind[:, 0]))
+    angle = np.arccos(np.clip((ahead * behind).sum(axis=2), -1.0, 1.0))
+    at, weighted = twins[faces].reshape(-1), (angle[..., None] * flat[:, None]).reshape(-1, 3)
+    total = np.stack([np.bincount(at, weighted[:, k], len(x)) for k in range(3)], axis=1)[twins]
+    return np.asarray(np.where((total != 0.0).any(axis=1, keepdims=True), unit_rows(total), [0.0, 0.0, 1.0]))
 
 
-@kernel
-def _add_face_normals(positions: Float, faces: Int, twins: Int, normals: Float) -> None:
-    """Add each face's normal, of length twice its area, to its corners' twins."""
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy = positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1]
-        vx, vy = positions[c, 0] - positions[a, 0], positions[c, 1] - positions[a, 1]
-        uz, vz = positions[b, 2] - positions[a, 2], positions[c, 2] - positions[a, 2]
-        for k in range(3):
-            i = twins[faces[f, k]]
-            normals[i, 0] += uy * vz - uz * vy
-            normals[i, 1] += uz * vx - ux * vz
-            normals[i, 2] += ux * vy - uy * vx
+def unit_rows(vectors: NDArray[Any]) -> Float:
+    """Return vectors (..., 3) of length 1; 0 stays 0."""
+    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    return np.asarray(np.divide(vectors, length, out=np.zeros(vectors.shape), where=length > 0.0))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,11 +110,15 @@ class DrawnDraft:
 
 # Renderers: plugins that draw meshes as a camera sees them.
 
+SKIN = "skin"
+"""Material of a body that is a person's."""
+
 
 @dataclass(frozen=True)
 class Mesh:
     """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
-    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None.
+    linear or None, uv (n, 2) and image (h, w, 3) uint8 or None; material: the name of a cloth's fabric, or SKIN, for
+    renderers that draw what they know of it; normals (n, 3) of length 1, or None for those of the faces.
     """
 
     vertices: Float
@@ -123,6 +127,8 @@ class Mesh:
     uv: NDArray[np.float32] | None = None
     image: NDArray[np.uint8] | None = None
     two_sided: bool = True
+    material: str = ""
+    normals: Float | None = None
 
 
 @dataclass(frozen=True)
@@ -141,6 +147,36 @@ class Renderer(Plugin, Protocol):
 
     def render(self, config: Any, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3) uint8 sRGB."""
+        ...
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A part of the work on a picture: `done` of `total`, 0 before the first, which knows about how long all take.
+
+    how      by what it is drawn, for the user;  left  time that the work takes [s]
+    noise    standard error of the picture's light, relative to its mean; NaN while unknown
+    picture  in the last one: (height, width, 3) uint8 sRGB
+    """
+
+    done: int
+    total: int
+    how: str
+    left: float = math.nan
+    noise: float = math.nan
+    picture: Picture | None = None
+
+
+@runtime_checkable
+class Progressive(Protocol):
+    """A renderer that takes long, and draws in parts, between which it can be interrupted."""
+
+    def require(self) -> None:
+        """Raise BadInput if something that the renderer needs is not installed."""
+        ...
+
+    def passes(self, config: Any, meshes: list[Mesh], camera: Camera) -> Iterator[Pass]:
+        """Yield the parts of the work; the last has the picture that `render` returns."""
         ...
 
 

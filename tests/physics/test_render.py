@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -395,7 +396,7 @@ def test_convex_body_neither_shadows_nor_hides_itself(rows):
     # Its flat faces would, along the terminator, where the smooth normals still see the light:
     # without the correction this shows as steps, the more so the coarser the mesh.
     ball = sphere((0.0, 0.0, 0.0), 0.7, rows, 2 * rows)
-    ball = Mesh(ball.vertices, ball.faces, colours=np.ones((len(ball.vertices), 3)))
+    ball = replace(ball, colours=np.ones((len(ball.vertices), 3)))
     plain = {"light": (0.6, 0.0, 0.8), **PLAIN}
     alone = radiance(RasterConfig(**plain, shadows=False, occlusion=False), [ball], above())
     assert np.abs(radiance(RasterConfig(**plain), [ball], above()) - alone).max() < 1e-3
