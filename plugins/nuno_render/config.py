@@ -68,6 +68,19 @@ class RasterConfig(PictureConfig):
     legend: Legend | None = Field(default=None, description="a colour bar in the lower right corner")
 
 
+class PathsConfig(PictureConfig):
+    """Settings of the renderer `paths`."""
+
+    samples: int = Field(default=64, ge=1, le=65536, description="paths per pixel; noise shrinks with its root")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="of the paths")
+    denoise: bool = Field(default=True, description="whether Open Image Denoise, if it is installed, takes noise away")
+    light_size: float = Field(
+        default=0.2, ge=0.0, le=0.5, description="tangent of the key light's angular radius: how soft shadows are"
+    )
+    caption: str = Field(default="", max_length=200, description="written in the lower left corner")
+    legend: Legend | None = Field(default=None, description="a colour bar in the lower right corner")
+
+
 # The configuration of pictures of yarns.
 
 Thickness = Annotated[float, quantity("m", Plausible(1e-6, 0.02, ("um", "mm")), gt=0)]

@@ -66,7 +66,7 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "untangle": {},
         "wrinkle": {"lines": [{"texture": [[0.2, 0.4], [0.8, 0.6]], "height": 0.01}]},
     },
-    "nuno.renderers": {"raster": {}},
+    "nuno.renderers": {"raster": {}, "paths": {"samples": 4}},
     "nuno.dye_cloths": {
         "cells": {"file": "cells.npz", "cell_size": "0.1 mm", "tau3": TAU3},
         "woven": {"tau3": TAU3},
@@ -97,6 +97,18 @@ def test_every_plugin_of_a_kind_is_tried(group: str) -> None:
 def test_a_kinds_description_names_every_plugin_of_it(group: str) -> None:
     own = {point.name for point in entry_points(group=group) if point.dist and point.dist.name == "nuno"}
     assert set(GROUPS[group].partition(": ")[2].split(", ")) == own
+
+
+NEEDED = {"paths": "mitsuba"}
+"""Packages of extras that plugins need."""
+
+
+@pytest.fixture(autouse=True)
+def needed(request: pytest.FixtureRequest) -> None:
+    """Skip a plugin by name where its package is not installed."""
+    name = getattr(request.node, "callspec", None) and request.node.callspec.params.get("name")
+    if name in NEEDED:
+        pytest.importorskip(NEEDED[name])
 
 
 LONG = ("particle_wind", "euler", "rk4_printed", "dopri5", "shirt", "implicit", "skin")

@@ -61,7 +61,7 @@ def _add_yarns(yarns: argparse._ArgumentGroup) -> None:
     text = "smooth: loops that hook into each other; straight: links, repaired where they would cut through a body "
     yarns.add_argument("--form", choices=get_args(Form), help=f"{text}(default: smooth)")
     add_flags(yarns, {
-        "--samples": ("N", "smooth: points a link (default: 8)", int),
+        "--samples": ("N", "smooth: points a link (default: 8); with --renderer: of a pixel (paths: 64)", int),
         "--radius": ("LENGTH", "of the yarns, e.g. 30um, or of each kind, e.g. 20um,35um (default: 0.04 of the mean "
                      "link, thicker for yarns of a higher linear density)"),
         "--curl": ("SHARE", "smooth: how far loops reach beyond each other, of the shortest link", float),
@@ -83,6 +83,8 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "--turn": ("TIME", "animations: the camera goes once round --frame, in so long"),
         "--fps": ("N", "animations: pictures a second (default: 25; of dye alone, so that all takes 5 s)", float),
         "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
+        "--renderer": ("NAME", "moving cloth by raster (default), or by paths, which follows light through many paths "
+                       "(needs nuno[paths])"),
         "--style": ("NAME", "--png of a knit by rays: yarns, lines (straight links), density (of stitches) or map (of "
                     "pressure on skin); --set view.yarns.KEY=VALUE changes how, and view.KEY=VALUE the camera"),
     })  # fmt: skip

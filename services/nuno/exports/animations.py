@@ -17,8 +17,10 @@ import numpy as np
 from nuno.exports.cloth import read_frame
 from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amounts, dyed_pictures
 from nuno.exports.pictures import (
+    PLAIN_RENDERING,
     Colour,
     Picture,
+    Rendering,
     check_colour,
     check_sides,
     choose_frames,
@@ -63,6 +65,7 @@ def export_animation(
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
+    rendering: Rendering = PLAIN_RENDERING,
 ) -> Path:
     """Draw a shot of a recording, by default all of it, as .gif or .mp4. Moving cloth is shown in real time, at `fps`
     or else RATE pictures a second. A dyeing without motion, which takes hours, has one picture per frame, at a rate at
@@ -88,11 +91,11 @@ def export_animation(
             shown = size or SIZE
             if shot.turn is None:
                 frames = choose_frames(recording, rate, shot.start, shot.end)
-                draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes)
+                draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes, rendering=rendering)
             else:
                 require_drawable(shot.turn * rate)
                 frames = list(range(max(1, round(shot.turn * rate))))
-                draw = _turning(recording, shot.frame, shown, colour, changes)
+                draw = _turning(recording, shot.frame, shown, colour, changes, rendering)
         # Evenly spaced frames determine a GIF's palette.
         samples = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
         if encoder is not None:
@@ -111,13 +114,14 @@ def _rate(encoder: Any, fps: float) -> float:
 
 
 def _turning(
-    recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None
-) -> Callable[..., Iterator[Picture]]:
+    recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None,
+    rendering: Rendering,
+) -> Callable[..., Iterator[Picture]]:  # fmt: skip
     """Return a function that draws a turn in as many pictures as there are numbers. Raises BadInput for no frame."""
     shown = read_frame(recording, frame)
 
     def draw(numbers: list[int], progress: Progress | None = None) -> Iterator[Picture]:
-        return draw_turn(recording, shown, len(numbers), size, progress, colour, changes)
+        return draw_turn(recording, shown, len(numbers), size, progress, colour, changes, rendering)
 
     return draw
 

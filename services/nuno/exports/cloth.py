@@ -243,9 +243,12 @@ def find_named(path: str, names: Iterable[str]) -> str | None:
 
 @dataclass(frozen=True)
 class ShownBodies(Surfaces):
-    """Bodies without level floors; `floor` is the height of the highest floor [m], or None."""
+    """Bodies without level floors; `floor` is the height of the highest floor [m], or None; `frames` the name of each
+    frame, body/joint.
+    """
 
     floor: float | None = None
+    frames: tuple[str, ...] = ()
 
 
 def read_bodies(recording: Recording) -> ShownBodies | None:
@@ -265,7 +268,7 @@ def shape_bodies(geometry: Geometry, first: Poses | None) -> ShownBodies:
     moved = first.translation[geometry.frame] if first else np.zeros_like(geometry.a)
     heights = (geometry.a + moved)[level, 1]
     shown = surface(geometry.of_primitives(np.flatnonzero(~level).tolist()))
-    return ShownBodies(**vars(shown), floor=float(heights.max()) if len(heights) else None)
+    return ShownBodies(**vars(shown), floor=float(heights.max()) if len(heights) else None, frames=geometry.frames)
 
 
 def _level(geometry: Geometry, rotation: Float) -> NDArray[np.bool_]:

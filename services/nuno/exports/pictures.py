@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from nuno.exports.camera import of_camera, place_camera, read_view, turn, turned, z_up
 from nuno.exports.cloth import (
@@ -33,6 +34,7 @@ from nuno.exports.cloth import (
 )
 from nuno.exports.dyed_pictures import Changes, dyed_pictures, find_amounts, read_dyed_object
 from nuno.exports.meshes import paint_piece
+from nuno.formatting import duration, many, roughly
 from nuno.output_files import Progress, check_target, following, write_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
@@ -40,18 +42,46 @@ from nuno.recording.recorded import Frame
 from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.pictures import Mesh
+from nuno_schemas.pictures import SKIN, Mesh, Progressive
 
 Picture = NDArray[np.uint8]
 Colour = Literal["auto", "cloth", "stretch", "pressure"]
 """Paint of cloth. cloth: its texture, else its colour, else the colours of its kinds of yarn, else plain; stretch: the
 stretch of its threads; pressure: the pressure of a knit; auto: by `view.colour`, and links of nets by stretch."""
 RENDERER = "raster"
+SKIN_COLOUR = "#d6a184"
+"""Colour of persons in pictures by renderers that draw skin."""
 ROOM = 0.04
 """Additional free margin on each side of a picture with a legend, as a share of it."""
 MOST_PICTURES = 1_000_000
 LOOKS = 16
 """Number of frames to which the camera of an animation is fitted."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """By what pictures are drawn: a renderer, its samples a pixel or None, and what takes lines for the user."""
+
+    renderer: str = RENDERER
+    samples: int | None = None
+    tell: Callable[[str], None] = lambda _: None
+
+    def load(self) -> Any:
+        """Return the renderer. Raises BadInput for an unknown one, one that is not installed, and its samples."""
+        try:
+            plugin = registry.load("nuno.renderers", self.renderer)
+            if isinstance(plugin, Progressive):
+                plugin.require()
+            plugin.Config(**({} if self.samples is None else {"samples": self.samples}))
+        except BadInput as error:
+            raise replace(error, field="--renderer", value=self.renderer) from None
+        except ValidationError as error:
+            problem, limit = f"{self.renderer} does not draw so many samples a pixel", str(error.errors()[0]["msg"])
+            raise BadInput(problem, field="--samples", value=self.samples, limit=limit) from None
+        return plugin
+
+
+PLAIN_RENDERING = Rendering()
 
 
 @dataclass
@@ -71,6 +101,9 @@ class Painter:
     colour: Colour = "auto"
     changes: Changes | None = None
     """Changes of the scene's camera, and of dye on an object."""
+    rendering: Rendering = PLAIN_RENDERING
+    number: int = 1
+    """How many pictures will be drawn, for the time that is told of a slow renderer."""
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
@@ -82,7 +115,10 @@ class Painter:
         self.dyed = None if measured else read_dyed_object(self.recording, replace(changes, overrides=of_dye))
         self.pressure = require_pressure(self.recording) if self.colour == "pressure" else None
         self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
-        self.renderer = registry.load("nuno.renderers", RENDERER)
+        self.renderer = self.rendering.load()
+        if self.rendering.samples is not None or isinstance(self.renderer, Progressive):
+            self.options = {} if self.rendering.samples is None else {"samples": self.rendering.samples}
+        self.fabrics, self.persons = name_materials(self.recording.scene)
         self.view = read_view(self.recording, camera)
         self.ground = self._ground([mesh for frame in self.shown for mesh in self.meshes(frame)])
         dyed = "" if self.dyed is None else self.dyed.name
@@ -107,15 +143,33 @@ class Painter:
         view = self.view.model_copy(update={"target": None, "distance": None})
         self.camera = place_camera(view, around, self.camera.size, ROOM if self.legend else 0.0)
 
-    def draw(self, frame: Frame, angle: float = 0.0) -> Picture:
-        """Draw a frame, (h, w, 3) uint8 sRGB, with the eye rotated about the vertical by an angle [rad]."""
+    def draw(self, frame: Frame, angle: float = 0.0, progress: Progress | None = None) -> Picture:
+        """Draw a frame, (h, w, 3) uint8 sRGB, with the eye rotated about the vertical by an angle [rad]. Raises
+        BadInput for a frame that a slow renderer would draw without cloth.
+        """
         name = self.recording.metadata.get("run", {}).get("scene") or str(self.recording.scene.get("name", ""))
         caption = f"{name}   t = {frame.t:.2f} s"
         config: BaseModel = self.renderer.Config.model_validate(
             {"caption": caption, "legend": self.legend, "ground": self.ground, **self.options}
         )
-        picture: Picture = self.renderer.render(config, self.meshes(frame), turned(self.camera, angle))
-        return picture
+        meshes, camera = self.meshes(frame), turned(self.camera, angle)
+        if not isinstance(self.renderer, Progressive):
+            return np.asarray(self.renderer.render(config, meshes, camera))
+        cloth, tell, started = meshes[: len(self.pieces(frame.t))], self.rendering.tell, time.perf_counter()
+        if not any(np.isfinite(mesh.vertices[mesh.faces]).all(axis=(1, 2)).any() for mesh in cloth):
+            problem, remedy = "there is no cloth to draw in this frame", "choose another, or leave --renderer out"
+            raise BadInput(problem, str(self.recording.path), field="--frame", value=frame.number, remedy=remedy)
+        for part in self.renderer.passes(config, meshes, camera):
+            if part.done == 0 and self.number:
+                tell(f"{part.how}: {roughly(part.left * self.number)} for {many(self.number, 'picture')}")
+                self.number = 0
+            elif part.picture is None and progress is not None:
+                progress(part.done, part.total)
+        assert part.picture is not None
+        took = duration(time.perf_counter() - started)
+        noise = "unknown" if math.isnan(part.noise) else f"{part.noise:.2%} of its light"
+        tell(f"frame {frame.number}: {part.how}; noise {noise}, in {took}")
+        return part.picture
 
     def pieces(self, t: float) -> list[ShownPiece]:
         """Return the cloth at t [s], ready for painting."""
@@ -139,14 +193,17 @@ class Painter:
             _cloth_mesh(piece, frame.x[part], None if painted is None else painted[part])
             for piece, part in zip(pieces, parts, strict=True)
         ]
-        return [replace(mesh, vertices=z_up(mesh.vertices)) for mesh in meshes]
+        return [replace(mesh, vertices=z_up(mesh.vertices), material=self.fabrics.get(piece.name, ""))
+                for mesh, piece in zip(meshes, pieces, strict=True)]  # fmt: skip
 
     def _bodies(self, frame: Frame) -> list[Mesh]:
         points = body_vertices(self.recording, self.bodies, frame.t)
         if self.bodies is None or not len(points):
             return []
-        grey = np.tile(parse_hex(BODY), (len(points), 1))
-        return [Mesh(z_up(points), self.bodies.faces, grey, two_sided=False)]
+        skin = np.array([name.split("/")[0] in self.persons for name in self.bodies.frames])[self.bodies.frame]
+        skin &= isinstance(self.renderer, Progressive)
+        colours = np.where(skin[:, None], parse_hex(SKIN_COLOUR), parse_hex(BODY))
+        return [Mesh(z_up(points), self.bodies.faces, colours, two_sided=False, material=SKIN if skin.any() else "")]
 
     def _ground(self, meshes: list[Mesh]) -> float | str:
         """Return the height of the scene's floor [m], else of the lowest point in any frame."""
@@ -155,6 +212,15 @@ class Painter:
         heights = np.concatenate([np.zeros(0), *(mesh.vertices[:, 2] for mesh in meshes)])
         heights = heights[np.isfinite(heights)]
         return float(heights.min()) if len(heights) else "none"
+
+
+def name_materials(scene: Mapping[str, Any]) -> tuple[dict[str, str], set[str]]:
+    """Return the preset of each object's fabric in a recorded scene, by the object's name, and the bodies with skin."""
+    fabrics = {str(one.get("name")): dict(one.get("model") or {}).get("fabric") for one in scene.get("objects") or ()}
+    shapes = {str(one.get("name")): dict(one.get("collider") or {}) for one in scene.get("bodies") or ()}
+    persons = {name for name, shape in shapes.items()
+               if shape.get("plugin") in ("skeleton", "skin") or shape.get("shape") in ("person", "leg")}  # fmt: skip
+    return {name: fabric for name, fabric in fabrics.items() if isinstance(fabric, str)}, persons
 
 
 def check_sides(size: tuple[int, int] | None) -> None:
@@ -177,6 +243,8 @@ def export_picture(
     size: tuple[int, int] | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
+    rendering: Rendering = PLAIN_RENDERING,
+    progress: Progress | None = None,
 ) -> Path:
     """Draw one frame (default: the last) as PNG, of moving cloth or of dye alone, by the scene and the arguments that
     are not None. Raises BadInput for a missing frame, and for a picture that cannot be drawn or written.
@@ -188,7 +256,8 @@ def export_picture(
             with dyed_pictures(recording, changes) as pictures:
                 return write_png(path, pictures.draw(find_amounts(recording, frame)))
         shown = read_frame(recording, frame)
-        return write_png(path, Painter(recording, [shown], size, colour=colour, changes=changes).draw(shown))
+        painter = Painter(recording, [shown], size, {}, colour, changes, rendering)
+        return write_png(path, painter.draw(shown, progress=progress))
 
 
 def draw_frames(
@@ -198,14 +267,15 @@ def draw_frames(
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
+    rendering: Rendering = PLAIN_RENDERING,
 ) -> Iterator[Picture]:
     """Draw chosen frames, in order, with one camera that is fitted to all; a repeated number
     repeats its picture. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
-    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes)
     times = Counter(numbers)
+    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes, rendering, len(times))
     drawn = ((painter.draw(frame), times.pop(frame.number)) for frame in recording.frames() if frame.number in times)
     yield from following((picture for picture, often in drawn for _ in range(often)), len(numbers), progress)
 
@@ -218,9 +288,10 @@ def draw_turn(
     progress: Progress | None = None,
     colour: Colour = "auto",
     changes: Changes | None = None,
+    rendering: Rendering = PLAIN_RENDERING,
 ) -> Iterator[Picture]:
     """Draw a frame from all sides, in a turn of `number` pictures. Raises BadInput."""
-    painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes)
+    painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes, rendering, number)
     painter.stand_back(frame)
     return (painter.draw(frame, 2.0 * np.pi * k / number) for k in following(range(number), number, progress))
 
@@ -263,13 +334,14 @@ def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Me
     """Return the mesh of a piece at x (n, 3), in its own paint or colours (n, 3); of a net thin tubes along springs."""
     if not len(piece.faces):
         vertices, faces, owner = tubes(x, piece.edges)
-        painted = np.repeat(paint_piece(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
-        return Mesh(vertices, faces, painted, two_sided=False)
-    if piece.image is not None and (laid := piece.laid_out) is not None:
-        # v points up on cloth and down in images. The renderer shares the normals of vertices at one position.
-        uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
-        return Mesh(x[laid.vertex], laid.faces, uv=uv, image=piece.image)
-    return Mesh(x, piece.faces, paint_piece(piece, x) if colours is None else colours)
+        each = np.repeat(paint_piece(piece, x), 2 * SIDES, axis=0) if colours is None else colours[owner]
+        return Mesh(vertices, faces, each, two_sided=False)
+    painted = paint_piece(piece, x) if colours is None and piece.image is None else colours
+    if (laid := piece.laid_out) is None:
+        return Mesh(x, piece.faces, painted)
+    # v points up on cloth and down in images. The renderer shares the normals of vertices at one position.
+    uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
+    return Mesh(x[laid.vertex], laid.faces, None if painted is None else painted[laid.vertex], uv, piece.image)
 
 
 def require_pressure(recording: Recording) -> Pressures:

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -25,6 +26,7 @@ from nuno_schemas.units import quantity
 
 if TYPE_CHECKING:
     from nuno.exports.dyed_pictures import Changes
+    from nuno.exports.pictures import Rendering
 
 Time = Annotated[float, quantity("s")]
 Length = str | float
@@ -61,7 +63,7 @@ WRITERS = {
 """Function that writes each kind of file; the order is that of writing."""
 WHOLE = ("csv", "gif", "mp4", "rrd", "foxglove", "ros2", "scene")
 """Kinds of files of a whole run."""
-DRAWN = ("colour", "side", "size", "view", "scale", "crop", "overrides")
+DRAWN = ("colour", "side", "size", "view", "scale", "crop", "overrides", "renderer")
 """Settings of pictures and animations."""
 SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
 """Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
@@ -113,6 +115,7 @@ class ExportRequest(ExportFiles):
     fps: float | None = None
     size: str | None = None
     style: str | None = None
+    renderer: str | None = None
     view: DyeView | None = None
     side: Side | None = None
     turn: Annotated[float, quantity("s", gt=0.0, le=3600.0)] | None = None
@@ -164,7 +167,7 @@ def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> l
 
     settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
     shot = Shot(asked.start, asked.end, asked.turn, asked.frame)
-    settings |= {"size": _size(asked.size), "changes": _changes(asked), "shot": shot}
+    settings |= {"size": _size(asked.size), "changes": _changes(asked), "shot": shot, "rendering": _rendering(asked)}
     for name, writer in WRITERS.items():
         path: Path | None = getattr(asked, name)
         if path is None:
@@ -177,6 +180,14 @@ def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> l
         paths = write(recording, path, **{key: settings[key] for key in signature(write).parameters if key in settings})
         written += paths if isinstance(paths, list) else [paths]
     return written
+
+
+def _rendering(asked: ExportRequest) -> Rendering:
+    """Return by what pictures are drawn."""
+    from nuno.exports.pictures import RENDERER, Rendering
+
+    samples = None if asked.renderer is None else asked.samples
+    return Rendering(asked.renderer or RENDERER, samples, partial(print, file=sys.stderr, flush=True))
 
 
 def export_curves(recording: Recording, path: Path, asked: ExportRequest) -> Path:
@@ -209,6 +220,7 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     from nuno.exports.animations import check_animation
     from nuno.viewer.live import require
 
+    pictured = bool(asked.png or asked.gif or asked.mp4)
     _check_files(recording, asked)
     for path in filter(None, (asked.gif, asked.mp4)):
         check_animation(path, asked.fps, _size(asked.size))
@@ -217,12 +229,14 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
             getattr(import_module(f"nuno.exports.{name}"), f"check_{name}")(path)
     require(None, asked.rrd, "--rrd")
     for name in () if asked.yarns else ("form", *YARNS):
-        if getattr(asked, name) is not None:
-            raise BadInput("for yarns as curves", field=f"--{name}", remedy="add --yarns out.npz")
+        if getattr(asked, name) is not None and not (name == "samples" and asked.renderer and pictured):
+            remedy = f"add --yarns out.npz{', or --renderer paths --png out.png' if name == 'samples' else ''}"
+            raise BadInput("for yarns as curves", field=f"--{name}", remedy=remedy)
     if not any(getattr(asked, name) for name in FILES):
         remedy = "for example --npz out.npz --png out.png"
         raise BadInput("nothing to export was asked for", remedy=remedy)
-    pictured = bool(asked.png or asked.gif or asked.mp4)
+    if asked.renderer is not None:
+        _rendering(asked).load()
     if asked.side and asked.style:
         raise BadInput("for pictures of no style", field="--side", value=asked.side, remedy="leave it out")
     drawn = () if pictured else DRAWN[bool(asked.pattern or asked.rrd) :]
@@ -307,7 +321,7 @@ def _check_dye(recording: Recording, asked: ExportRequest) -> None:
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
         flat = "a cloth that is dyed alone lies flat"
         for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown"),
-                             ("side", flat), ("turn", flat)):  # fmt: skip
+                             ("side", flat), ("turn", flat), ("renderer", flat)):  # fmt: skip
             if getattr(asked, name) not in (None, "auto"):
                 problem = "for pictures of moving cloth; the recording is of dye"
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)

@@ -1,0 +1,1 @@
+"""Pictures by following the paths of light, by Mitsuba 3."""

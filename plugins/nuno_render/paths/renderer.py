@@ -1,0 +1,326 @@
+"""The renderer `paths`: one picture from meshes and a camera, by following light through many paths."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from nuno_render.annotate import annotate
+from nuno_render.config import PathsConfig
+from nuno_render.paths.cloth import LOOKS, Look, cloth_material, rgb
+from nuno_render.raster import encode_picture
+from nuno_render.refine import refine
+from nuno_render.scene import DrawnScene, gather
+from nuno_render.shading.ground import Ground, find_ground
+from nuno_render.shading.lighting import GROUND, KEY, SKY, key_direction, tangents, unit
+from nuno_render.sight import Sight, sight_of
+from nuno_schemas.errors import BadInput
+from nuno_schemas.fabric import Float
+from nuno_schemas.pictures import SKIN, Camera, Mesh, Pass
+
+EACH, GUIDES = 16, 8
+"""Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones; and rays a
+pixel that find colours and normals for the denoiser. Noise is known from the differences of two passes at least."""
+PROBE, MOST_PATHS, DEPTH = 0.1, 600_000, 7
+"""Width and height of the picture that tells how long the whole takes, as a share of its own; paths between two looks
+at an interruption; and the most segments of a path: light reaches the inside of a skirt after several."""
+LLVM = 17
+"""First version of LLVM that compiles Mitsuba's kernels: earlier ones end the process at `fminimum`."""
+SKY_MAP = (512, 256)
+"""Width and height of the map of the studio's light."""
+FLAT, FILL = 0.5 * (SKY + GROUND) + (SKY - GROUND) / 3.0, 0.55
+"""The raster renderer's light from all sides on a white floor, and the share of it here, where the floor throws light
+back."""
+RINGS, AROUND, FAR = 48, 96, 5.0
+"""Rings of the floor's vertices, vertices of each, and where it ends in the background's colour, in radii of the scene.
+"""
+
+
+class Paths:
+    """Draws meshes by path tracing with Mitsuba 3, on all cores.
+
+    Cloth is lit from both sides, shines along its yarns and lets light through where it is thin; one-sided meshes are
+    closed bodies. Meshes, camera, floor and light are those of the renderer `raster`. Needs nuno[paths].
+    """
+
+    name: ClassVar[str] = "paths"
+    Config: ClassVar[type[BaseModel]] = PathsConfig
+
+    def require(self) -> None:
+        """Raise BadInput if Mitsuba is not installed."""
+        if importlib.util.find_spec("mitsuba") is None:
+            problem, remedy = "the renderer paths needs Mitsuba, which is not installed", 'pip install "nuno[paths]"'
+            raise BadInput(problem, field="--renderer", value="paths", remedy=f"{remedy}, or leave --renderer out")
+
+    def render(self, config: BaseModel, meshes: list[Mesh], camera: Camera) -> NDArray[np.uint8]:
+        """Return a picture (height, width, 3) uint8 sRGB. Raises BadInput as `passes`."""
+        *_, last = self.passes(config, meshes, camera)
+        assert last.picture is not None
+        return last.picture
+
+    def passes(self, config: BaseModel, meshes: list[Mesh], camera: Camera) -> Iterator[Pass]:
+        """Draw in passes; the last has the picture. The same input and seed give the same bytes on one machine.
+
+        Raises BadInput for arrays of the wrong shape, face indices out of range, a camera without size, field of view
+        or direction, and without Mitsuba.
+        """
+        assert isinstance(config, PathsConfig)
+        self.require()
+        mi, how = load_mitsuba()
+        stage = set_stage(mi, config, meshes, camera)
+        tracer = mi.load_dict({"type": "path", "max_depth": DEPTH, "hide_emitters": True})
+        number = min(max(-(-config.samples // EACH), 2), config.samples)
+        samples, (width, height) = -(-config.samples // number), camera.size
+        bands = min(max(1, -(-width * height * samples // MOST_PATHS)), height)
+        parts = number * bands
+        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 2.0 * GUIDES / samples))
+        sensors = [stage.look(camera, *rows) for rows in pairwise(round(k * height / bands) for k in range(bands + 1))]
+        sums = np.zeros((2, height, width, 3))
+        squares = np.zeros_like(sums[0])
+        for k in range(number):
+            drawn = []
+            for i, sensor in enumerate(sensors):
+                seed = (config.seed * 65537 + k * len(sensors) + i) % 2**32
+                drawn.append(stage.render(sensor, tracer, samples, seed))
+                yield Pass(k * len(sensors) + i + 1, parts, how)
+            seen = np.concatenate(drawn)
+            light = stage.lay_over(seen)
+            sums[k % 2] += light
+            squares += light**2
+        picture = sums.sum(axis=0) / number
+        noise = _relative(np.maximum(squares / number - picture**2, 0.0) / max(number - 1, 1), picture)
+        if number > 1 and config.denoise and (denoise := _denoiser(stage, sensors, 1.0 - seen[..., 3:])) is not None:
+            how = f"{how}, {noise:.2%} before Open Image Denoise"
+            even, odd = denoise(sums[0] / ((number + 1) // 2)), denoise(sums[1] / (number // 2))
+            picture = denoise(picture)
+            noise = _relative((0.5 * (even - odd)) ** 2, picture)
+        encoded = annotate(encode_picture(picture), config.caption, config.legend)
+        yield Pass(parts, parts, how, 0.0, noise if number > 1 else math.nan, encoded)
+
+
+def load_mitsuba() -> tuple[Any, str]:
+    """Import Mitsuba, and choose its variant: by LLVM, which follows 2.6 times as many paths, where a version is
+    found that compiles it; else the one that needs nothing else. Return the module and the variant's name.
+    """
+    import drjit
+    import mitsuba as mi
+
+    found = 0
+    with suppress(ImportError, RuntimeError, AttributeError):
+        mi.set_variant("llvm_ad_rgb")
+        drjit.eval(drjit.arange(mi.Float, 1))
+        found = drjit.detail.llvm_version()[0]
+    mi.set_variant(how := "llvm_ad_rgb" if found >= LLVM else "scalar_rgb")
+    mi.set_log_level(mi.LogLevel.Error)
+    return mi, how
+
+
+def _probe(stage: Stage, camera: Camera, tracer: Any, samples: int) -> float:
+    """Return about how long a pass takes [s], by a small picture; a first one compiles the kernels."""
+    width, height = (max(round(side * PROBE), 1) for side in camera.size)
+    sensor = stage.look(replace(camera, size=(width, height)), 0, height)
+    for _ in range(2):
+        started = time.perf_counter()
+        stage.render(sensor, tracer, samples, 0)
+    return (time.perf_counter() - started) / PROBE**2
+
+
+def _relative(variance: Float, picture: Float) -> float:
+    """Return the root of a picture's mean variance (h, w, 3), relative to its mean light."""
+    return math.sqrt(float(variance.mean())) / (float(picture.mean()) or 1.0)
+
+
+def _denoiser(stage: Stage, sensors: list[Any], empty: Float) -> Callable[[Float], Float] | None:
+    """Return a function that takes noise from a picture (h, w, 3), by Open Image Denoise with the colours and normals
+    of surfaces; None where it is not installed. The background, of a share `empty` (h, w, 1), is to it a floor, so that
+    the floor's end is no edge.
+    """
+    try:
+        import pyoidn
+    except (ImportError, OSError):
+        return None
+    guide = stage.mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
+    drawn = np.concatenate([stage.render(sensor, guide, GUIDES, i) for i, sensor in enumerate(sensors)])[..., -6:]
+    albedo = (drawn[..., :3] + empty * stage.fading((np.arange(len(drawn)) + 0.5) / len(drawn))[:, None]).astype(
+        np.float32
+    )
+    normal = (drawn[..., 3:] + empty * stage.up).astype(np.float32)
+
+    def denoise(picture: Float) -> Float:
+        return np.asarray(pyoidn.denoise(picture.astype(np.float32), albedo, normal, hdr=True), np.float64)
+
+    return denoise
+
+
+# The scene: meshes, a floor, studio light and the camera, for Mitsuba.
+
+
+@dataclass
+class Stage:
+    """Mitsuba's scene of a picture, about the camera's target; up and key (3,): unit vectors away from the floor and
+    toward the key light.
+    """
+
+    mi: Any
+    scene: Any
+    drawn: DrawnScene
+    ground: Ground
+    sight: Sight
+    up: Float
+    key: Float
+
+    def render(self, sensor: Any, integrator: Any, samples: int, seed: int) -> Float:
+        """Return what a sensor sees (h, w, channels)."""
+        seen = self.mi.render(self.scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed)
+        return np.asarray(np.array(seen, np.float64))
+
+    def look(self, camera: Camera, first: int, last: int) -> Any:
+        """Return a sensor for rows first up to last of a picture: linear light, and the share of surfaces in it."""
+        eye, distance = self.sight.eye, float(np.linalg.norm(self.sight.eye))
+        film = {
+            "type": "hdrfilm", "width": camera.size[0], "height": camera.size[1], "pixel_format": "rgba",
+            "crop_offset_x": 0, "crop_offset_y": first, "crop_width": camera.size[0], "crop_height": last - first,
+            "component_format": "float32", "rfilter": {"type": "box"},
+        }  # fmt: skip
+        return self.mi.load_dict({
+            "type": "perspective", "fov": math.degrees(camera.fov), "fov_axis": "y", "film": film,
+            "to_world": self.mi.ScalarTransform4f().look_at(eye.tolist(), [0.0, 0.0, 0.0], self.sight.up.tolist()),
+            "near_clip": 1e-3 * distance, "far_clip": 1e3 * (self.drawn.radius + distance),
+            "sampler": {"type": "multijitter"},
+        })  # fmt: skip
+
+    def background(self, down: Float) -> Float:
+        """Return the raster renderer's background (n, 3) at shares `down` (n,) of the picture's height."""
+        s = np.clip(down, 0.0, 1.0)
+        s = s * s * (3.0 - 2.0 * s)
+        return np.asarray(self.ground.top + s[:, None] * (self.ground.bottom - self.ground.top))
+
+    def fading(self, down: Float) -> Float:
+        """Return the colour (n, 3) of a floor that looks like the background at shares `down` of the height."""
+        return np.asarray(np.minimum(self.background(down) / (KEY * max(float(self.up @ self.key), 0.0) + FLAT), 1.0))
+
+    def lay_over(self, light: Float) -> Float:
+        """Lay light (h, w, 4), whose last channel is the share of surfaces, over the background. Return (h, w, 3)."""
+        behind = self.background((np.arange(len(light)) + 0.5) / len(light))[:, None]
+        return np.asarray(light[..., :3] + (1.0 - light[..., 3:]) * behind)
+
+
+def set_stage(mi: Any, config: PathsConfig, meshes: list[Mesh], camera: Camera) -> Stage:
+    """Return the scene of meshes as a camera sees them. Raises BadInput as the renderer."""
+    sight, up, origin = sight_of(camera), unit(np.array(config.up)), np.asarray(camera.target, np.float64)
+    meshes = refine(meshes, camera)
+    drawn = gather(meshes, origin, up)
+    lowest = drawn.lowest if len(drawn.faces) else math.inf
+    ground = find_ground(config, lowest, origin, sight.eye, up, drawn.centre, drawn.radius)
+    stage = Stage(mi, None, drawn, ground, sight, up, key_direction(config, camera, up))
+    parts = {"type": "scene", "light": light_studio(stage, config.light_size)}
+    if ground.active:
+        parts["floor"] = lay_floor(stage, camera.size[1])
+    for number, mesh in enumerate(meshes):
+        if len(faces := drawn.faces[drawn.mesh == number]):
+            parts[f"mesh{number}"] = shape_of(stage, faces, mesh, float(np.linalg.norm(sight.eye)) / sight.focal)
+    stage.scene = mi.load_dict(parts)
+    return stage
+
+
+def light_studio(stage: Stage, size: float) -> dict[str, Any]:
+    """Return the light around a scene: sky and floor by height, and a round key light, as large as `size` says and so
+    bright that the floor has the raster renderer's light.
+    """
+    width, height = SKY_MAP
+    polar = (np.arange(height)[:, None] + 0.5) / height * np.pi
+    turn = (np.arange(width)[None] + 0.5) / width * 2.0 * np.pi
+    toward = np.stack([np.sin(turn) * np.sin(polar), np.cos(polar) + 0.0 * turn, -np.cos(turn) * np.sin(polar)], -1)
+    light = FILL * (0.5 * (SKY + GROUND) + 0.5 * (SKY - GROUND) * (toward @ stage.up)[..., None])
+    # A disc with a soft edge; its light is scaled by that which the map's pixels throw on a wall that faces it.
+    spread, facing = math.atan(max(size, 0.02)), toward @ stage.key
+    disc = np.clip((spread - np.arccos(np.clip(facing, -1.0, 1.0))) / (0.25 * spread) + 0.5, 0.0, 1.0)
+    thrown = float((disc * np.maximum(facing, 0.0) * np.sin(polar)).sum()) * 2.0 * np.pi / (width * height)
+    slope = float(stage.up @ stage.key)
+    light += disc[..., None] * (KEY + ((1.0 - FILL) * FLAT / slope if slope > 0.2 else 0.0)) / thrown
+    return {"type": "envmap", "bitmap": stage.mi.Bitmap(light.astype(np.float32))}
+
+
+def lay_floor(stage: Stage, height: int) -> Any:
+    """Return the floor. With distance, as the raster renderer's fades, it takes on the colour that the background has
+    there in the picture, in the light that falls on it where nothing is near; so it ends without an edge.
+
+    Rejected: transparency with distance (`mask`), which in Mitsuba loses light.
+    """
+    distance = np.linspace(0.0, FAR, RINGS)
+    turn = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    u, v, _ = tangents(stage.up) * stage.ground.radius
+    along = np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * v
+    x = (stage.ground.centre + distance[:, None, None] * along).reshape(-1, 3)
+    sight = stage.sight
+    ahead, rise = (x - sight.eye) @ sight.forward, (x - sight.eye) @ sight.up
+    down = np.where(ahead > 0.0, 0.5 - sight.focal / height * rise / np.where(ahead > 0.0, ahead, 1.0), 1.0)
+    fade = np.repeat(np.clip((distance - 1.0) / (FAR - 1.0), 0.0, 1.0), AROUND)[:, None]
+    fade = fade * fade * (3.0 - 2.0 * fade)
+    ring, step = np.meshgrid(np.arange(RINGS - 1) * AROUND, np.arange(AROUND), indexing="ij")
+    a, b = (ring + step).ravel(), (ring + (step + 1) % AROUND).ravel()
+    faces = np.concatenate([np.stack([a, a + AROUND, b + AROUND], 1), np.stack([a, b + AROUND, b], 1)])
+    dull = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}
+    colours = (1.0 - fade) * stage.ground.albedo + fade * stage.fading(down)
+    return make_mesh(stage.mi, faces, {"type": "twosided", "one": dull}, vertex_positions=x, vertex_color=colours)
+
+
+def shape_of(stage: Stage, faces: NDArray[np.int32], mesh: Mesh, pixel: float) -> Any:
+    """Return the shape of one of a scene's meshes, with its material; pixel: a pixel's side at the cloth [m]."""
+    mi, drawn = stage.mi, stage.drawn
+    used, inverse = np.unique(faces, return_inverse=True)
+    colours, x, uv, triangles = drawn.albedo[used], drawn.positions[used], drawn.uv[used], inverse.reshape(-1, 3)
+    plain = bool((colours == colours[0]).all())
+    colour: Any = rgb(colours[0]) if plain else {"type": "mesh_attribute", "name": "vertex_color"}
+    if mesh.image is not None and mesh.uv is not None:
+        colour = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(mesh.image)), "wrap_mode": "repeat"}
+    if mesh.two_sided:
+        look = LOOKS.get(mesh.material, Look())
+        material = cloth_material(mi, look, colour, unit_lengths(x, uv, triangles), pixel)
+    else:  # skin, which the light that scatters in it flattens, or painted wood
+        finish = (0.45, 0.35, 0.8) if mesh.material == SKIN else (0.55, 0.25, 0.0)
+        material = dict(zip(("roughness", "specular", "flatness"), finish, strict=True))
+        material = {"type": "twosided", "one": {"type": "principled", "base_color": colour, **material}}
+    rows = {"vertex_positions": x, "vertex_normals": drawn.normals[used], "vertex_texcoords": uv}
+    return make_mesh(mi, triangles, material, **rows, **({} if plain else {"vertex_color": colours}))
+
+
+def make_mesh(mi: Any, faces: NDArray[Any], material: dict[str, Any], **rows: Float) -> Any:
+    """Return a mesh of Mitsuba from faces (f, 3) and its fields by name, one row a vertex."""
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(material)
+    count = len(rows["vertex_positions"])
+    shape = mi.Mesh("mesh", count, len(faces), props, "vertex_normals" in rows, "vertex_texcoords" in rows)
+    if "vertex_color" in rows:
+        shape.add_attribute("vertex_color", 3, np.zeros(3 * count, np.float32))
+    fields = mi.traverse(shape)
+    fields["faces"] = np.ascontiguousarray(faces, np.uint32).ravel()
+    for name, values in rows.items():
+        fields[name] = np.ascontiguousarray(values, np.float32).ravel()
+    fields.update()
+    return shape
+
+
+def unit_lengths(x: Float, uv: Float, faces: NDArray[Any]) -> tuple[float, float] | None:
+    """Return the lengths [m] of a unit of u and of v: root mean squares over the triangles, weighted by their area in
+    (u, v), of how far the surface goes along each. None without texture coordinates.
+    """
+    (a, b, c), (p, q, r) = np.take(x, faces.T, axis=0), np.take(uv, faces.T, axis=0)
+    area = (q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0]
+    laid = np.abs(area) > 1e-12
+    if not laid.any():
+        return None
+    e, f, s, t, area = (part[laid] for part in (b - a, c - a, q - p, r - p, area[:, None]))
+    ways = (t[:, 1:] * e - s[:, 1:] * f) / area, (s[:, :1] * f - t[:, :1] * e) / area
+    u, v = (math.sqrt(float(np.average((way**2).sum(axis=1), weights=np.abs(area[:, 0])))) for way in ways)
+    return (u, v) if math.isfinite(u) and math.isfinite(v) and min(u, v) > 0.0 else None
