@@ -1,4 +1,4 @@
-"""Exports by another renderer: what is drawn, what is refused, what it costs others."""
+"""Exports by another renderer and with an open shutter: what is drawn, what is refused, what it costs others."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from recorded_sheet import Sheet, write
+from recorded_sheet import RATE, Sheet, write
 
 from nuno.cli import main
 from nuno.exports.animations import Shot, export_animation
-from nuno.exports.pictures import Painter, Rendering, export_picture
+from nuno.exports.pictures import MOMENTS, Painter, Rendering, draw_frames, export_picture
 from nuno.recording.reader import open_recording
 from nuno_schemas.errors import BadInput
 
@@ -57,6 +57,7 @@ def test_a_film_by_paths_has_its_pictures(path: Path, tmp_path: Path) -> None:
         (["--renderer", "paths", "--samples", "-3"], "--samples"),
         (["--renderer", "raster", "--samples", "5"], "--samples"),
         (["--samples", "5"], "--samples"),
+        (["--shutter", "0.5"], "--shutter"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_before_anything_starts(
@@ -86,6 +87,38 @@ def test_a_frame_without_cloth_is_refused(path: Path) -> None:
         painter = Painter(recording, [frame], SIZE, rendering=Rendering("paths", 1))
         with pytest.raises(BadInput, match="no cloth"):
             painter.draw(frame)
+
+
+def test_a_shutter_sees_the_mean_of_what_passes(path: Path) -> None:
+    """The sheet waves: each pixel's light lies between its least and most, and is that of the moments' mean."""
+    with open_recording(path) as recording:
+        frames = list(recording.frames())
+        painter = Painter(recording, frames, SIZE)
+        blurred = painter.blur(frames[2], 0.08)
+        times = frames[2].t + 0.08 * (np.arange(MOMENTS) + 0.5) / MOMENTS
+        moments = [painter.draw(frames[2], meshes=painter._meshes_at(frames[2], float(t))) for t in times]
+        still = painter.draw(frames[2])
+    assert (blurred >= np.min(moments, axis=0)).all() and (blurred <= np.max(moments, axis=0)).all()
+    assert len({moment.tobytes() for moment in moments}) == MOMENTS
+    assert not np.array_equal(blurred, still)
+
+
+def test_a_moment_between_frames_is_on_the_way_between_them(path: Path) -> None:
+    with open_recording(path) as recording:
+        frames = list(recording.frames())
+        painter = Painter(recording, frames, SIZE)
+        between = painter._meshes_at(frames[3], frames[3].t + 0.25 / RATE)
+        first, last = (painter.meshes(frame) for frame in frames[3:5])
+    for mesh, a, b in zip(between, first, last, strict=True):
+        assert np.allclose(mesh.vertices, 0.75 * a.vertices + 0.25 * b.vertices, atol=1e-6)
+
+
+def test_a_film_of_what_stands_still_is_not_blurred(path: Path) -> None:
+    """After the last frame nothing moves any more."""
+    with open_recording(path) as recording:
+        last = [frame.number for frame in recording.frames()][-1:]
+        sharp, blurred = (next(draw_frames(recording, last, SIZE, shutter=shutter)) for shutter in (0.0, 0.01))
+    assert np.array_equal(sharp, blurred)
 
 
 def test_nothing_imports_mitsuba_before_it_draws() -> None:

@@ -82,6 +82,8 @@ def _add_parts(which: argparse._ArgumentGroup) -> None:
         "--end": ("TIME", "animations: to here"),
         "--turn": ("TIME", "animations: the camera goes once round --frame, in so long"),
         "--fps": ("N", "animations: pictures a second (default: 25; of dye alone, so that all takes 5 s)", float),
+        "--shutter": ("SHARE", "animations: the share of a picture's time in which its shutter is open, e.g. 0.5: "
+                      "what moves is blurred", float),
         "--size": ("WxH", "of pictures of moving cloth, e.g. 960x720"),
         "--renderer": ("NAME", "moving cloth by raster (default), or by paths, which follows light through many paths "
                        "(needs nuno[paths])"),

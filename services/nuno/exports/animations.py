@@ -47,13 +47,15 @@ PALETTE_PICTURES, PALETTE_PIXELS, PALETTE_POWER = 8, 300_000, 0.7
 @dataclass(frozen=True)
 class Shot:
     """What an animation shows: a run from `start` to `end` [s]; or with `turn` the camera's way, in this time [s], once
-    round one frame, by default the last.
+    round one frame, by default the last. `shutter`: the share of a picture's time in which its shutter is open, which
+    blurs what moves.
     """
 
     start: float | None = None
     end: float | None = None
     turn: float | None = None
     frame: int | None = None
+    shutter: float = 0.0
 
 
 def export_animation(
@@ -91,7 +93,10 @@ def export_animation(
             shown = size or SIZE
             if shot.turn is None:
                 frames = choose_frames(recording, rate, shot.start, shot.end)
-                draw = partial(draw_frames, recording, size=shown, colour=colour, changes=changes, rendering=rendering)
+                draw = partial(
+                    draw_frames, recording, size=shown, colour=colour, changes=changes, rendering=rendering,
+                    shutter=shot.shutter / rate,
+                )  # fmt: skip
             else:
                 require_drawable(shot.turn * rate)
                 frames = list(range(max(1, round(shot.turn * rate))))

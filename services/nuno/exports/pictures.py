@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -39,7 +40,7 @@ from nuno.output_files import Progress, check_target, following, write_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
-from nuno_schemas.colour import parse_hex
+from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.pictures import SKIN, Mesh, Progressive
@@ -54,6 +55,8 @@ SKIN_COLOUR = "#d6a184"
 ROOM = 0.04
 """Additional free margin on each side of a picture with a legend, as a share of it."""
 MOST_PICTURES = 1_000_000
+MOMENTS = 8
+"""Moments whose mean is a picture with a shutter."""
 LOOKS = 16
 """Number of frames to which the camera of an animation is fitted."""
 
@@ -143,16 +146,18 @@ class Painter:
         view = self.view.model_copy(update={"target": None, "distance": None})
         self.camera = place_camera(view, around, self.camera.size, ROOM if self.legend else 0.0)
 
-    def draw(self, frame: Frame, angle: float = 0.0, progress: Progress | None = None) -> Picture:
-        """Draw a frame, (h, w, 3) uint8 sRGB, with the eye rotated about the vertical by an angle [rad]. Raises
-        BadInput for a frame that a slow renderer would draw without cloth.
+    def draw(
+        self, frame: Frame, angle: float = 0.0, progress: Progress | None = None, meshes: list[Mesh] | None = None
+    ) -> Picture:
+        """Draw a frame, or these meshes of it, (h, w, 3) uint8 sRGB, with the eye rotated about the vertical by an
+        angle [rad]. Raises BadInput for a frame that a slow renderer would draw without cloth.
         """
         name = self.recording.metadata.get("run", {}).get("scene") or str(self.recording.scene.get("name", ""))
         caption = f"{name}   t = {frame.t:.2f} s"
         config: BaseModel = self.renderer.Config.model_validate(
             {"caption": caption, "legend": self.legend, "ground": self.ground, **self.options}
         )
-        meshes, camera = self.meshes(frame), turned(self.camera, angle)
+        meshes, camera = meshes or self.meshes(frame), turned(self.camera, angle)
         if not isinstance(self.renderer, Progressive):
             return np.asarray(self.renderer.render(config, meshes, camera))
         cloth, tell, started = meshes[: len(self.pieces(frame.t))], self.rendering.tell, time.perf_counter()
@@ -170,6 +175,26 @@ class Painter:
         noise = "unknown" if math.isnan(part.noise) else f"{part.noise:.2%} of its light"
         tell(f"frame {frame.number}: {part.how}; noise {noise}, in {took}")
         return part.picture
+
+    def blur(self, frame: Frame, seconds: float) -> Picture:
+        """Draw what a shutter sees that is open for so long from a frame on: the mean light of MOMENTS within."""
+        after = seconds / MOMENTS * (np.arange(MOMENTS) + 0.5)
+        pictures = [self.draw(frame, meshes=self._meshes_at(frame, frame.t + float(step))) for step in after]
+        light = np.mean([to_linear(picture / 255.0) for picture in pictures], axis=0)
+        return np.rint(to_srgb(light) * 255.0).astype(np.uint8)
+
+    def _meshes_at(self, start: Frame, t: float) -> list[Mesh]:
+        """Return the meshes at a time after a frame, on the straight way from the last frame before it to the next; the
+        last frame's own after it, or where cloth was changed between the two.
+        """
+        source = self.recording
+        *_, before = source.frames(start.t, t)
+        frames = [before, *islice(source.frames(t), 1)]
+        first, last = (self.meshes(frame) for frame in (frames[0], frames[-1]))
+        s = 0.0 if len(frames) < 2 else (t - frames[0].t) / (frames[1].t - frames[0].t)
+        if [len(mesh.vertices) for mesh in first] != [len(mesh.vertices) for mesh in last]:
+            return first
+        return [replace(a, vertices=(1.0 - s) * a.vertices + s * b.vertices) for a, b in zip(first, last, strict=True)]
 
     def pieces(self, t: float) -> list[ShownPiece]:
         """Return the cloth at t [s], ready for painting."""
@@ -268,15 +293,21 @@ def draw_frames(
     colour: Colour = "auto",
     changes: Changes | None = None,
     rendering: Rendering = PLAIN_RENDERING,
+    shutter: float = 0.0,
 ) -> Iterator[Picture]:
-    """Draw chosen frames, in order, with one camera that is fitted to all; a repeated number
-    repeats its picture. Raises BadInput.
+    """Draw chosen frames, in order, with one camera that is fitted to all, each as a shutter sees it that is open for
+    so long [s]; a repeated number repeats its picture. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
     times = Counter(numbers)
-    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes, rendering, len(times))
-    drawn = ((painter.draw(frame), times.pop(frame.number)) for frame in recording.frames() if frame.number in times)
+    number = len(times) * (MOMENTS if shutter else 1)
+    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes, rendering, number)
+
+    def draw(frame: Frame) -> Picture:
+        return painter.blur(frame, shutter) if shutter else painter.draw(frame)
+
+    drawn = ((draw(frame), times.pop(frame.number)) for frame in recording.frames() if frame.number in times)
     yield from following((picture for picture, often in drawn for _ in range(often)), len(numbers), progress)
 
 

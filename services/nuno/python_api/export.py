@@ -14,7 +14,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nuno.exports.camera import SIDES, Side
 from nuno.output_files import RATE, Progress, check_folder, check_target, together
@@ -119,6 +119,7 @@ class ExportRequest(ExportFiles):
     view: DyeView | None = None
     side: Side | None = None
     turn: Annotated[float, quantity("s", gt=0.0, le=3600.0)] | None = None
+    shutter: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     scale: int | None = None
     crop: tuple[Length, Length, Length, Length] | None = None
     overrides: tuple[str, ...] = ()
@@ -166,7 +167,7 @@ def _export(recording: Recording, asked: ExportRequest, progress: Progress) -> l
     from nuno.exports.animations import Shot
 
     settings, written = vars(asked) | {"asked": asked, "progress": progress}, list[Path]()
-    shot = Shot(asked.start, asked.end, asked.turn, asked.frame)
+    shot = Shot(asked.start, asked.end, asked.turn, asked.frame, asked.shutter or 0.0)
     settings |= {"size": _size(asked.size), "changes": _changes(asked), "shot": shot, "rendering": _rendering(asked)}
     for name, writer in WRITERS.items():
         path: Path | None = getattr(asked, name)
@@ -240,7 +241,7 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     if asked.side and asked.style:
         raise BadInput("for pictures of no style", field="--side", value=asked.side, remedy="leave it out")
     drawn = () if pictured else DRAWN[bool(asked.pattern or asked.rrd) :]
-    for name in (*(() if asked.gif or asked.mp4 else ("turn", "start", "end", "fps")), *drawn):
+    for name in (*(() if asked.gif or asked.mp4 else ("turn", "start", "end", "fps", "shutter")), *drawn):
         if (value := getattr(asked, name)) not in (None, "auto", ()):
             problem, file = ("for pictures and animations", "png") if name in DRAWN else ("for animations", "mp4")
             flag, value = ("--set", value[0]) if name == "overrides" else (f"--{name}", value)
@@ -248,6 +249,9 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
             if name in ("start", "end") and (whole := next((one for one in WHOLE if getattr(asked, one)), "")):
                 remedy = f"leave it out: --{whole} has all frames"
             raise BadInput(problem, field=flag, value=value, remedy=remedy)
+    if asked.turn and asked.shutter:
+        remedy = "leave one of them out"
+        raise BadInput("in a turn nothing moves", field="--shutter", value=asked.shutter, remedy=remedy)
     if asked.turn and (asked.start is not None or asked.end is not None):
         problem, remedy = "a turn is round one frame", "name it: --frame N"
         raise BadInput(problem, field="--turn", value=asked.turn, remedy=remedy)
@@ -321,7 +325,7 @@ def _check_dye(recording: Recording, asked: ExportRequest) -> None:
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
         flat = "a cloth that is dyed alone lies flat"
         for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown"),
-                             ("side", flat), ("turn", flat), ("renderer", flat)):  # fmt: skip
+                             ("side", flat), ("turn", flat), ("shutter", flat), ("renderer", flat)):  # fmt: skip
             if getattr(asked, name) not in (None, "auto"):
                 problem = "for pictures of moving cloth; the recording is of dye"
                 raise BadInput(problem, str(recording.path), field=f"--{name}", remedy=remedy)
