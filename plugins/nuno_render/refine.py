@@ -5,9 +5,10 @@ a cubic patch from its corners and their normals alone. It goes through every ve
 other cloth still does, and bulges to the side to which normals turn, so that cloth on a convex body does not cut into
 it. Its edge depends on its two ends alone: there are no cracks, also where two vertices at one place have texture
 coordinates of their own. Where normals turn by 60 degrees and more along an edge, it is flattened: a fold is then as
-narrow as the triangles, and no curve through it is more likely than another. Rejected: Loop's subdivision, which moves
-the vertices; the modified butterfly, which swings where the mesh is irregular; and normals that vary quadratically,
-which show the triangles as scallops along narrow folds.
+narrow as the triangles, and no curve through it is more likely than another. So are edges near other cloth, or a fold
+of the same: layers may be a tenth of a millimetre apart, and curved ones would cut through each other. Rejected: Loop's
+subdivision, which moves the vertices; the modified butterfly, which swings where the mesh is irregular; and normals
+that vary quadratically, which show the triangles as scallops along narrow folds.
 """
 
 from __future__ import annotations
@@ -25,6 +26,13 @@ from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.pictures import Camera, Mesh
 
 Index = NDArray[np.int64]
+CROWDED = 0.7
+"""Vertices that are nearer to each other than this share of an edge, and no neighbours, are of layers in contact, or of
+a fold as narrow as a triangle."""
+ALIKE = 8
+"""Most vertices in a cell that are compared."""
+PRIMES = np.array([73_856_093, 19_349_663, 83_492_791])
+"""Factors of a cell's number (M. Teschner and others, Optimized spatial hashing, VMV 2003)."""
 PIXELS, MOST_PARTS, MOST_FACES = 5.0, 4, 300_000
 """Length of a drawn edge [pixels] that triangles are divided to, at most so many parts an edge, and triangles."""
 THICK, OF_EXTENT = 1.2e-3, 0.003
@@ -43,8 +51,34 @@ def refine(meshes: list[Mesh], camera: Camera) -> list[Mesh]:
     sight, target = sight_of(camera), np.asarray(camera.target, np.float64)
     for number, mesh in enumerate(meshes):
         check_mesh(mesh, f"meshes[{number}]")
-    eye = sight.eye + target
-    return [_refined(mesh, eye, sight.focal) if mesh.two_sided else _creased(mesh) for mesh in meshes]
+    eye, free = sight.eye + target, iter(_free([mesh for mesh in meshes if mesh.two_sided]))
+    return [_refined(mesh, next(free), eye, sight.focal) if mesh.two_sided else _creased(mesh) for mesh in meshes]
+
+
+def _free(meshes: list[Mesh]) -> list[Bool]:
+    """Return for each mesh which vertices (n,) have no other layer of cloth near them."""
+    if not meshes:
+        return []
+    sizes = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    x = np.nan_to_num(np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float64))
+    twins, faces = find_twins(x), np.concatenate([m.faces + at for m, at in zip(meshes, sizes, strict=False)])
+    sides = twins[np.concatenate([faces[:, [i, j]] for i in range(3) for j in range(3) if i != j])].astype(np.int64)
+    count = len(x)
+    reach = CROWDED * float(np.median(np.linalg.norm(x[sides[:, 1]] - x[sides[:, 0]], axis=1))) if len(sides) else 0.0
+    edges = np.unique(sides @ np.array([count, 1]))
+    free, pairs = np.ones(count, bool), [np.zeros((0, 2), np.int64)]
+    for shift in np.ndindex(2, 2, 2) if reach > 0.0 else ():  # two points that near are in one cell of one of the grids
+        cell = np.floor(0.5 * x / reach + 0.5 * np.array(shift)).astype(np.int64) @ PRIMES
+        order = np.argsort(cell, kind="stable")
+        for step in range(1, ALIKE):
+            same = cell[order[:-step]] == cell[order[step:]]
+            pair = twins[np.stack([order[:-step][same], order[step:][same]], axis=1)].astype(np.int64)
+            pairs.append(pair[(np.abs(x[pair[:, 0]] - x[pair[:, 1]]).max(axis=1) < reach) & (pair[:, 0] != pair[:, 1])])
+    pair = np.concatenate(pairs)
+    numbers = pair @ np.array([count, 1])
+    apart = edges[np.minimum(np.searchsorted(edges, numbers), len(edges) - 1)] != numbers if len(edges) else []
+    free[pair[apart]] = False
+    return np.split(free[twins], sizes[1:-1])
 
 
 def _creased(mesh: Mesh) -> Mesh:
@@ -62,7 +96,7 @@ def _creased(mesh: Mesh) -> Mesh:
     )  # fmt: skip
 
 
-def _refined(mesh: Mesh, eye: Float, focal: float) -> Mesh:
+def _refined(mesh: Mesh, free: Bool, eye: Float, focal: float) -> Mesh:
     x = np.asarray(mesh.vertices, np.float64)
     finite: Bool = np.logical_and.reduce(np.abs(x) <= FAR, axis=1)
     faces = np.ascontiguousarray(mesh.faces[finite[mesh.faces].all(axis=1)], np.int32)
@@ -75,7 +109,7 @@ def _refined(mesh: Mesh, eye: Float, focal: float) -> Mesh:
     most = min(MOST_PARTS, int(np.sqrt(MOST_FACES / len(faces))))
     parts = max(1, min(most, int(np.ceil(length * focal / max(away, 1e-9) / PIXELS))))
     shares, _, small = _pattern(parts)
-    points, bent = divide(corners, normals[faces], shares)
+    points, bent = divide(corners, normals[faces], shares, free[faces])
     thick = min(THICK, OF_EXTENT * float(np.ptp(corners.reshape(-1, 3), axis=0).max()))
     first = np.arange(len(faces))[:, None, None] * len(shares)
     made = [(points, bent, (first + small).reshape(-1, 3), np.arange(len(points)))]
@@ -110,12 +144,13 @@ def _pattern(parts: int) -> tuple[Float, Index, Index]:
     return shares, np.array(sides), np.array(faces)
 
 
-def divide(p: Float, n: Float, shares: Float) -> tuple[Float, Float]:
+def divide(p: Float, n: Float, shares: Float, free: Bool) -> tuple[Float, Float]:
     """Return points and unit normals (f t, 3) of PN triangles with corners p and normals n (f, 3, 3), at shares (t, 3)
-    of the corners.
+    of the corners; sides are straight that end at a corner which is not `free` (f, 3).
     """
     after, n_after = np.roll(p, -1, axis=1), np.roll(n, -1, axis=1)
     chord, bend = after - p, np.clip(2.0 * (n * n_after).sum(axis=2, keepdims=True), 0.0, 1.0)
+    bend = bend * (free & np.roll(free, -1, axis=1))[..., None]
     near = (2.0 * p + after - bend * (chord * n).sum(axis=2, keepdims=True) * n) / 3.0
     far = (2.0 * after + p + bend * (chord * n_after).sum(axis=2, keepdims=True) * n_after) / 3.0
     ring = (near + far).sum(axis=1) / 6.0

@@ -106,3 +106,21 @@ def test_a_round_body_is_not_changed_and_a_box_has_creases() -> None:
     assert creased.normals is not None
     assert np.array_equal(np.sort(np.abs(creased.normals), axis=1), np.tile([0.0, 0.0, 1.0], (36, 1)))
     assert np.array_equal(creased.vertices[creased.faces], corners[faces])
+
+
+def test_layers_in_contact_are_not_bent_towards_each_other() -> None:
+    """Each by itself is round between its vertices; near each other both are as flat as their triangles."""
+    mesh = sheet(False, 0.1)
+    other = replace(mesh, vertices=mesh.vertices + [0.0, 0.0, 1e-3])
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+
+    def off(fine: Mesh) -> float:
+        """The farthest that the points on each triangle, which come first, are off it."""
+        points = fine.vertices[: 15 * len(a)].reshape(len(a), 15, 3)
+        return float(np.abs(((points - a[:, None]) * normal[:, None]).sum(axis=2)).max())
+
+    near, _ = refine([mesh, other], frame([mesh, other], size=(960, 720)))
+    assert off(drawn(mesh)) > 1e-3
+    assert off(near) < 1e-12
