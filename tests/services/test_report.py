@@ -15,8 +15,11 @@ import nuno
 from nuno.cli import main
 from nuno.report.run_report import Report, brief, lines
 from nuno.runtime.stepper import Stepped
+from nuno.scene import scene_file
 from nuno.scene.warnings import MOST_DEPTHS, MOST_STRETCH, SEEN_DEPTH
+from nuno.simulation import cloth
 from nuno.simulation.run import Simulation
+from nuno.simulation.yarns import measure_stretch
 from soak.fuzz.files import BVH
 
 
@@ -86,7 +89,37 @@ def test_stretch_at_the_start_is_told_apart_from_what_loads_do(tmp_path: Path) -
     report = nuno.run(write_scene(tmp_path, objects=objects, duration=1.5)).report
     assert report["start_stretch"] == pytest.approx(1.5) and report["stretch"] == pytest.approx(9.81 / 40.0, rel=0.01)
     assert rows(report, "warning") == []
-    assert rows(report, "stretch") == [f"at most {report['stretch']:.2%}; 150.00% at the start"]
+    (text,) = rows(report, "stretch")
+    assert text.startswith(f"at most {report['stretch']:.2%}; 150.00% at the start; at the end 99% of the area below ")
+    last, sunk = report["last_stretch"], 9.81 / 100.0
+    assert last["vertex"] in (0, 1) and last["most"] == pytest.approx(sunk / 0.4, rel=0.01)
+
+
+def test_the_stretch_of_the_area_is_that_of_its_rest(tmp_path: Path) -> None:
+    """A hung square that is 5 % longer, but for one corner, which is drawn out to three times its rest."""
+    sheet = {"plugin": "sheet", "size": [1, 1], "resolution": [51, 51], "fabric": "denim", "pin": ["top-corners"]}
+    scene = write_scene(tmp_path, objects=[{"name": "cloth", "model": sheet}])
+    fabric, _ = cloth.build_fabric(scene_file.read(scene))
+    x = fabric.position * np.array([1.0, 1.05, 1.0])
+    corner = int(np.lexsort(fabric.position.T)[-1])
+    x[corner] += np.array([0.04, 0.0, 0.0])
+    found = measure_stretch(fabric, x)
+    assert (
+        found["below"] == pytest.approx(0.05) and found["most"] > 1.5 and found["place"] == x[found["vertex"]].tolist()
+    )
+    assert np.linalg.norm(x[found["vertex"]] - x[corner]) < 0.07
+    assert measure_stretch(fabric, np.full_like(x, np.nan)) == {}
+
+
+@pytest.mark.full
+def test_the_stretch_of_the_area_converges_where_the_largest_grows(tmp_path: Path) -> None:
+    """Hung denim, refined: all its weight hangs from two points, and the cloth at a point stretches without end."""
+    settings = ("solver={plugin: implicit_euler, dt: auto}", "duration=1.5", "frame_rate=30")
+    sizes = (f"objects.0.model.resolution=[{n}, {n}]" for n in (33, 65))
+    coarse, fine = (nuno.run("hanging-sheet", size, *settings).report["last_stretch"] for size in sizes)
+    assert fine["most"] > 1.4 * coarse["most"] and fine["below"] == pytest.approx(coarse["below"], rel=0.1)
+    for last in (coarse, fine):
+        assert np.abs(last["place"]) == pytest.approx([0.5, 0.5, 0.0], abs=1e-6)  # at a pinned corner
 
 
 def test_all_rows_have_a_heading_and_one_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -184,6 +184,9 @@ def _physics(report: Report) -> list[tuple[str, str]]:
     stretch = report["stretch"]
     start_stretch = report.get("start_stretch") or 0.0
     since = f"; {start_stretch:.2%} at the start" if stretch is not None and start_stretch > stretch else ""
+    if last := report.get("last_stretch"):
+        place = ", ".join(f"{value:.3g}" for value in last["place"])
+        since += f"; at the end {last['area']:.0%} of the area below {last['below']:.2%}, most at ({place}) m"
     rows.append(("stretch", _percent(stretch) + since))
     if rest := report["rest"]:
         beyond = f"; {rest['unsettled']:,} vertices are farther than that" if rest["unsettled"] else ""
@@ -289,7 +292,7 @@ LEADER_DEFAULTS: dict[str, Any] = {
     "digest": "", "began": 0.0, "paused_seconds": 0.0, "step_seconds": {}, "totals": {}, "dt": None,
     "steps_per_frame": None, "idle": 0, "rested": False, "threads": "", "energy": [], "stretch": 0.0,
     "start_stretch": 0.0, "rest": {}, "clock": None, "counts": {}, "arranged": [], "changes": [], "steered": [],
-    "yarns": {}, "courses": {}, "pressure": {},
+    "yarns": {}, "courses": {}, "pressure": {}, "last_stretch": {},
 }  # fmt: skip
 """Fields of the leading service's summary, and their values where it has none."""
 

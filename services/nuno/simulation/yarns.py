@@ -181,6 +181,34 @@ def structural_edges(fabric: Fabric) -> tuple[np.ndarray, Float]:
     return pairs, rest
 
 
+SPREAD = 0.99
+"""Share of the area whose stretch is reported: the largest stretch at a pinned point grows with a mesh's fineness."""
+
+
+def measure_stretch(fabric: Fabric, x: Float) -> dict[str, Any]:
+    """Return the stretch of SPREAD of the area (of a net, its vertices) at x (n, 3) [m]: all but the rest is below it;
+    and the largest, with its vertex and place [m]. Empty without springs and membrane.
+
+    A vertex has the stretch |d| / rest - 1 of its most stretched structural spring, or side of a triangle.
+    """
+    pairs, rest = structural_edges(fabric)
+    if not (rest > 0.0).any() or not np.isfinite(x).all():
+        return {}
+    pairs, rest = pairs[rest > 0.0], rest[rest > 0.0]
+    a, b, c = np.take(x, fabric.faces.T, axis=0)
+    area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
+    weight = (
+        np.bincount(fabric.faces.reshape(-1), area, len(x)) if len(area) else np.bincount(pairs[:, 0], minlength=len(x))
+    )
+    stretch = np.full(len(x), -1.0)
+    for end in pairs.T:
+        np.maximum.at(stretch, end, np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0)
+    order, most = np.argsort(stretch), int(stretch.argmax())
+    below = np.searchsorted(np.cumsum(weight[order]), SPREAD * weight.sum())
+    return {"area": SPREAD, "below": float(stretch[order[below]]), "most": float(stretch[most]), "vertex": most,
+            "place": x[most].tolist()}  # fmt: skip
+
+
 def append_sides(fabric: Fabric, values: NDArray[Any], fill: float) -> NDArray[Any]:
     """Append `fill` for sides of a membrane's triangles to values (s, ...) of springs, as in `structural_edges`."""
     if fabric.membrane is None:
