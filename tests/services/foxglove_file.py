@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -32,17 +31,6 @@ def read(path: Path) -> dict[str, list[Heard]]:
             value = message.data if decode is None else decode(message.data)
             found[channel.topic].append(Heard(message.log_time, value))
     return found
-
-
-def schemas(path: Path) -> dict[str, Any]:
-    """The JSON Schemas of topics."""
-    from mcap.reader import make_reader
-
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    known = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
-    return {topic: json.loads(schema.data) for topic, schema in known.items() if schema.encoding == "jsonschema"}
 
 
 def vectors(points: Any) -> Float:

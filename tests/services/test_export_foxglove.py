@@ -8,12 +8,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 from dye_scene import write_scene as write_dye_scene
 from exported import FAR, picture, png, write_items
-from foxglove_file import Heard, known_at, placed, read, schemas, vectors
+from foxglove_file import known_at, placed, read, vectors
 from persons import skinned
 from recorded_sheet import RATE, Sheet, items, write
 from scenes import write_scene
@@ -23,14 +22,13 @@ from nuno.bus.encodings import decode_arrays, encode_arrays
 from nuno.cli import main
 from nuno.collision.messages import encode_geometry, encode_poses
 from nuno.exports.cloth import body_vertices, paint_stretch, read_bodies, read_pieces
-from nuno.exports.foxglove import describe, export_foxglove
+from nuno.exports.foxglove import export_foxglove
 from nuno.recording.reader import open_recording
-from nuno_schemas import messages
 from nuno_schemas.bodies import Poses
 from nuno_schemas.colour import to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
-from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATUS, Header, Topic
+from nuno_schemas.messages import BODIES, GEOMETRY, PENETRATION, STATUS
 
 pytest.importorskip("mcap_protobuf", reason="needs mcap-protobuf-support, of nuno[dev]")
 
@@ -148,42 +146,38 @@ def test_a_net_is_its_links(tmp_path: Path) -> None:
         assert np.array_equal(vectors(lines.points)[np.array(lines.indices).reshape(-1, 2)], frame.x[edges])
 
 
-def test_json_topics_are_passed_on_and_events_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Byte by byte, at their times, with a schema that they meet; also a topic that came later."""
-    forces = Topic("sim/contact", "json", "nuno.Contact")
-    monkeypatch.setitem(messages.TOPICS, forces.name, forces)
-    told = {"bodies": [{"name": "ball", "force": [0.0, 1.5, 0.0]}, {"name": "floor", "force": [0.0, 0.0, 0.0]}]}
-    header = Header(run="waving-run", service="simulation", seq=0, frame=1, t=1 / RATE)
-    found = list(items(SHEET, FRAMES))
-    write_items(tmp_path / "run.mcap", [*found[:8], (forces.name, header, json.dumps(told).encode()), *found[8:]])
-    out = export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0]
-    heard, known = read(out), schemas(out)
-    with open_recording(tmp_path / "run.mcap") as recording:
-        names = [STATUS.name, PENETRATION.name, forces.name, "run/event/simulation", "run/report"]
-        assert sorted(known) == sorted(names)
-        for name in names:
-            sent = [Heard(message.log_time, message.payload) for message in recording.messages([name])]
-            assert sent and heard[name] == sent
-            for _, payload in sent:
-                jsonschema.validate(json.loads(payload), known[name])
+def test_numbers_are_doubles_of_their_names_and_events_are_logged(path: Path, tmp_path: Path) -> None:
+    """In every frame, to the bit; the sum of the energies, too."""
+    heard = read(export_foxglove(path, tmp_path / "out.mcap")[0])
+    with open_recording(path) as recording:
+        for name in (STATUS.name, PENETRATION.name):
+            sent = [(message.log_time, recording.said(message)) for message in recording.messages([name])]
+            assert [at for at, _ in sent] == [at for at, _ in heard[f"numbers/{name}"]] and len(sent) == FRAMES
+        for (_, said), (_, numbers) in zip(sent, heard[f"numbers/{PENETRATION.name}"], strict=True):
+            assert (numbers.depth, numbers.mean, numbers.inside) == (said["depth"], said["mean"], said["inside"])
         (event,) = recording.events()
+        end = [message.log_time for message in recording.messages(["run/event/*"])]
+    for k, (_, numbers) in enumerate(heard[f"numbers/{STATUS.name}"]):
+        assert (numbers.energy_kinetic, numbers.stretch) == (0.5 + k / RATE, 0.01 * k)
+        assert numbers.energy_total == numbers.energy_kinetic + numbers.energy_springs
     (line,) = heard["log"]
     assert (line.value.message, line.value.name) == (event.text, "simulation")
-    assert line.at == heard["run/event/simulation"][0].at == line.value.timestamp.ToNanoseconds()
-    items_of = known[forces.name]["properties"]["bodies"]["items"]["properties"]
-    assert items_of["force"] == {"type": "array", "items": {"type": "number"}}
+    assert [line.at] == end == [line.value.timestamp.ToNanoseconds()]
 
 
-def test_a_schema_has_only_what_the_viewers_read() -> None:
-    """They refuse a whole topic for a field of another kind: several kinds, null, arrays in arrays."""
-    values = [{"a": None, "b": 1, "c": [[1, 2]], "d": {"e": 2.5}, "f": [], "g": "x"},
-              {"a": 1, "b": 2.5, "c": [], "d": {"h": True}, "f": [{"i": 1}, {"j": "k"}], "g": 3}]  # fmt: skip
-    number, of_f = {"type": "number"}, {"i": {"type": "number"}, "j": {"type": "string"}}
-    found = {
-        "a": number, "b": number, "f": {"type": "array", "items": {"type": "object", "properties": of_f}},
-        "d": {"type": "object", "properties": {"e": number, "h": {"type": "boolean"}}},
-    }  # fmt: skip
-    assert describe(values) == {"type": "object", "properties": found}
+def test_a_status_with_other_numbers_has_a_type_of_its_own(tmp_path: Path) -> None:
+    """An operation adds an energy in the middle of a run: no number is lost, and none is read as another."""
+    found = []
+    for topic, header, payload in items(SHEET, FRAMES):
+        if topic == STATUS.name and header.frame >= 2:
+            fields = json.loads(payload)
+            payload = json.dumps(fields | {"energy": {"hinges": None, **fields["energy"]}}).encode()
+        found.append((topic, header, payload))
+    write_items(tmp_path / "run.mcap", found)
+    heard = read(export_foxglove(tmp_path / "run.mcap", tmp_path / "out.mcap")[0])[f"numbers/{STATUS.name}"]
+    assert [numbers.energy_kinetic for _, numbers in heard] == [0.5 + k / RATE for k in range(FRAMES)]
+    assert [hasattr(numbers, "energy_hinges") for _, numbers in heard] == [False, False, True, True, True]
+    assert np.isnan(heard[2].value.energy_hinges)
 
 
 def test_what_would_be_lost_is_refused(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -77,12 +77,12 @@ def encode_arrays(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any] | 
         message.arrays.add(name=name, dtype=str(values.dtype), shape=values.shape)
         head = message.arrays[0].SerializeToString()
         data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
-        field = _field_header(4, len(data)) if len(data) else b""
-        parts += [_field_header(2, len(head) + len(field) + len(data)), head, field, data]
+        field = field_header(4, len(data)) if len(data) else b""
+        parts += [field_header(2, len(head) + len(field) + len(data)), head, field, data]
     return b"".join(parts)
 
 
-def _field_header(field: int, length: int) -> bytes:
+def field_header(field: int, length: int) -> bytes:
     """Encode the key of a length-delimited protobuf field, and its length as a varint."""
     out = bytearray([field << 3 | 2])
     while length > 127:
@@ -197,7 +197,8 @@ def encode_points(x: NDArray[np.float64], t: float) -> bytes:
 
 
 @functools.cache
-def _foxglove_class(schema: str) -> Any:
+def foxglove_class(schema: str) -> Any:
+    """Return the class of a message such as `foxglove.PointCloud`."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(foxglove_schema(schema)).file:
         pool.Add(file)
@@ -224,7 +225,7 @@ def encode_picture(png: bytes, t: float) -> bytes:
 def decode_picture(payload: bytes) -> bytes:
     """Decode the PNG file of a foxglove.CompressedImage. Raises BadMessage."""
     try:
-        message = _foxglove_class("foxglove.CompressedImage").FromString(payload)
+        message = foxglove_class("foxglove.CompressedImage").FromString(payload)
     except DecodeError as error:
         raise BadMessage(f"not a foxglove.CompressedImage message: {error}") from None
     if message.format != "png":
@@ -235,7 +236,7 @@ def decode_picture(payload: bytes) -> bytes:
 def decode_points(payload: bytes) -> NDArray[np.float64]:
     """Decode a foxglove.PointCloud of float32 as float64 positions (n, 3) [m]. Raises BadMessage."""
     try:
-        message = _foxglove_class("foxglove.PointCloud").FromString(payload)
+        message = foxglove_class("foxglove.PointCloud").FromString(payload)
     except DecodeError as error:
         raise BadMessage(f"not a foxglove.PointCloud message: {error}") from None
     if message.point_stride != 12 or len(message.data) % 12:

@@ -2,39 +2,49 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.bus.encodings import origin_of
-from nuno.collision.bodies import vertex_normals
-from nuno.collision.messages import decode_poses
+from nuno.bus.encodings import BadMessage, decode_arrays, origin_of
+from nuno.collision.bodies import Surfaces, vertex_normals
+from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.exports.cloth import (
     BODY,
     PLAIN,
     Pieces,
+    ShownBodies,
     ShownPiece,
     body_vertices,
     check_size,
+    colour_of,
+    cut_pieces,
     paint_stretch,
     paint_yarns,
     read_bodies,
     read_frame,
     read_pieces,
+    read_texture,
+    shape_bodies,
 )
-from nuno.exports.dyed_pictures import DyedPictures, read_dyed_object
 from nuno.output_files import Progress, following, make_folder, together, writing
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame, Recorded
-from nuno_schemas.bodies import Poses
+from nuno_schemas.bodies import Geometry, Poses, Skin
 from nuno_schemas.colour import parse_hex, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int
-from nuno_schemas.messages import STATE
+from nuno_schemas.messages import BODIES, CONCENTRATION, FABRIC, GEOMETRY, STATE
+from nuno_schemas.messages import CLOTH as CLOTH_CELLS
+
+if TYPE_CHECKING:  # a scene without dye loads no module of it
+    from nuno.exports.dyed_pictures import DyedPictures
 
 MATT = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
 """Properties of glTF's materials."""
@@ -48,6 +58,8 @@ def export_mesh(source: Recording | Path | str, path: Path, frame: int | None = 
     which its nodes are moved. Raises BadInput for another ending, a missing frame or one that is not finite, or a file
     that cannot be written.
     """
+    from nuno.exports.dyed_pictures import read_dyed_object
+
     suffix = _known(path.suffix.lower(), path)
     with opened(source) as recording:
         shown = read_frame(recording, frame)
@@ -64,6 +76,8 @@ def export_meshes(
     Raises the errors of `export_mesh`, and BadInput where the folder has frames that would not be replaced: it would
     mix two recordings.
     """
+    from nuno.exports.dyed_pictures import read_dyed_object
+
     _known(suffix, folder)
     written, name = [], f"frame_{{:05d}}{suffix}"
     with together(), opened(source) as recording:
@@ -235,6 +249,9 @@ UP = (float(np.sqrt(0.5)), float(np.sqrt(0.5)), 0.0, 0.0)
 """The quaternion w, x, y, z that turns y to z and z to -y."""
 
 
+ReadImage = Callable[[str], NDArray[np.uint8] | None]
+
+
 @dataclass(frozen=True)
 class Shape:
     """Triangles (k, 3), or lines (k, 2), between points x (n, 3) [m], in a frame.
@@ -259,71 +276,111 @@ class Turn:
 
 
 class Show:
-    """A recording's cloth and bodies, for its messages in their order.
+    """Cloth and bodies of a run as shapes, from its messages in their order: `take` each.
 
-    fixed   transforms of the whole run
-    bodies  rigid bodies: the name of the frame of each, and its shape in it
-    frames  names of the bodies' frames
-    floor   height of the level floor [m], or None
+    read_image  reads a texture by its path; returns None if it cannot
+    painter     of the dyed cloth, from `nuno.dye.painter`; None without one
+    colour      auto: as in pictures; stretch: cloth without a colour of its own by its stretch; plain: nets too have a
+                colour, which does not change
+    frames      names of the bodies' frames
 
-    Cloth and skins are in the frame CLOTH, with its origin near the cloth's start, since viewers use float32. Raises
-    BadInput for a recording of dye alone, one without cloth, and a damaged one.
+    Cloth and skins are in the frame CLOTH, with its origin near the cloth's start, since viewers use float32.
     """
 
-    def __init__(self, recording: Recording) -> None:
-        self.recording, self._pieces = recording, Pieces(recording)
-        first = next(recording.messages([STATE.name]), None)
-        if first is None:
-            raise BadInput("the recording holds no positions of cloth", str(recording.path))
-        self._dyed = read_dyed_object(recording)
-        self.origin = origin_of(self.recording.points(first))
-        self.fixed = [
-            Turn(ROOT, WORLD, (0.0, 0.0, 0.0), UP),
-            Turn(WORLD, CLOTH, _row(self.origin), (1.0, 0.0, 0.0, 0.0)),
-        ]
-        self._bodies = read_bodies(recording)
-        self.frames: list[str] = [str(name) for name in recording.geometry()[1].get("frames", ())]
-        self.floor = None if self._bodies is None else self._bodies.floor
-        self.bodies = self._rigid()
+    def __init__(self, read_image: ReadImage, painter: Any = None, colour: str = "auto") -> None:
+        self._read_image, self.painter, self._colour = read_image, painter, colour
+        self.pieces: list[ShownPiece] = []
+        self.frames: tuple[str, ...] = ()
+        self.bodies: ShownBodies | None = None
+        self.poses: Poses | None = None
+        self.origin: Float | None = None
+        self._geometry: Geometry | None = None
+        self._amounts = b""
 
-    def cloth(self, message: Recorded) -> list[Shape]:
-        """Return the cloth in a message of `sim/state`. Raises BadInput if it is damaged or not finite."""
-        x, t = self.recording.points(message), message.t
-        number, digest = self.recording.mark(message)
-        pieces = self._pieces.at(t)
-        check_size(self.recording, pieces, Frame(number, t, digest, x), finite=True)
-        dressed = pieces if self._dyed is None else self._dyed.dress(pieces, t)
-        return [shape_piece(piece, x[piece.start : piece.stop] - self.origin) for piece in dressed]
+    def take(self, topic: str, payload: bytes) -> None:
+        """Take one message. Raises BadMessage for one that is damaged."""
+        try:
+            if topic == FABRIC.name:
+                self._take_fabric(payload)
+            elif topic == GEOMETRY.name:
+                self._geometry, self.bodies = decode_geometry(payload), None
+                self.frames = self._geometry.frames
+            elif topic == BODIES.name:
+                self.poses = decode_poses(payload, len(self.frames))
+                if self.bodies is None and self._geometry is not None:
+                    self.bodies = shape_bodies(self._geometry, self.poses)
+            elif topic == CLOTH_CELLS.name and self.painter is not None and not self.painter.ready:
+                self.painter.take_cloth(payload)
+            elif topic == CONCENTRATION.name:
+                self._amounts = payload
+        except (BadInput, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
+            raise BadMessage(f"{topic}: {error}") from None
 
-    def poses(self, message: Recorded) -> Poses:
-        """Return the bodies' poses in a message of `collision/bodies`. Raises BadInput if it is damaged."""
-        with self.recording.damage_reported(message):
-            return decode_poses(message.payload, len(self.frames))
+    def _take_fabric(self, payload: bytes) -> None:
+        self.pieces = cut_pieces(*decode_arrays(payload), by_stretch=self._colour == "stretch")
+        for i, piece in enumerate(self.pieces):
+            image = self._read_image(piece.texture) if piece.texture and piece.laid_out is not None else None
+            colour = piece.colour or (colour_of(i) if self._colour == "plain" else None)
+            self.pieces[i] = replace(piece, image=image, colour=colour)
 
-    def turns(self, poses: Poses) -> list[Turn]:
+    @property
+    def vertices(self) -> int:
+        """Number of vertices of all cloth."""
+        return max((piece.stop for piece in self.pieces), default=0)
+
+    def cloth(self, x: Float) -> list[tuple[str, Shape]]:
+        """Return the cloth at positions x (n, 3) [m], with the name of its frame. Raises BadMessage for damaged dye."""
+        self.origin = origin_of(x) if self.origin is None else self.origin
+        parts = [(self._dress(piece), x[piece.start : piece.stop] - self.origin) for piece in self.pieces]
+        return [(CLOTH, shape_piece(*part)) for part in parts]
+
+    def _dress(self, piece: ShownPiece) -> ShownPiece:
+        if self.painter is None or piece.name != self.painter.object or piece.laid_out is None or not self._amounts:
+            return piece
+        return replace(piece, image=self.painter.draw(self._amounts), colour=None)
+
+    def fixed(self) -> list[Turn]:
+        """Return the transforms of the whole run, once there is cloth."""
+        assert self.origin is not None
+        return [Turn(ROOT, WORLD, (0.0, 0.0, 0.0), UP), Turn(WORLD, CLOTH, _row(self.origin), (1.0, 0.0, 0.0, 0.0))]
+
+    def turns(self) -> list[Turn]:
         """Return the transforms of the bodies' frames in the world."""
-        rows = zip(self.frames, poses.translation, poses.rotation, strict=True)
+        assert self.poses is not None
+        rows = zip(self.frames, self.poses.translation, self.poses.rotation, strict=True)
         return [Turn(WORLD, name, _row(shift), _row(turn)) for name, shift, turn in rows]
 
-    def skins(self, poses: Poses) -> list[Shape]:
-        """Return the shapes of the bending bodies."""
-        if (bodies := self._bodies) is None:
+    def skins(self) -> list[tuple[str, Shape]]:
+        """Return the shapes of the bending bodies, once there is cloth, and the name of their frame."""
+        if (bodies := self.bodies) is None or self.poses is None or self.origin is None:
             return []
         shapes = []
         for first, skin in bodies.skins:
-            part, joint = slice(first, first + len(skin.joint)), int(bodies.frame[first])
-            x = poses.bend(skin, joint, bodies.vertices[part]) - self.origin
-            faces = bodies.faces[(bodies.faces[:, 0] >= first) & (bodies.faces[:, 0] < part.stop)] - first
-            shapes.append(Shape(self.frames[joint].split("/")[0], x, faces, _sole(BODY)))
+            x, faces, joint = *_of_skin(bodies, first, skin), int(bodies.frame[first])
+            bent = self.poses.bend(skin, joint, x) - self.origin
+            shapes.append((CLOTH, Shape(self.frames[joint].split("/")[0], bent, faces, _sole(BODY))))
         return shapes
 
-    def points(self, message: Recorded, poses: Poses | None) -> Float:
-        """Return all points of cloth and bodies in the world, shape (n, 3) [m]."""
-        bodies = np.zeros((0, 3)) if poses is None or self._bodies is None else self._bodies.at(poses)
-        return np.concatenate([self.recording.points(message), bodies])
+    def parts(self) -> list[tuple[str, Shape]]:
+        """Return the rigid bodies, and of each bending body the triangles that follow a frame most, as rigid ones."""
+        if (bodies := self.bodies) is None:
+            return []
+        shapes = self.rigid()
+        for first, skin in bodies.skins:
+            x, faces = _of_skin(bodies, first, skin)
+            joint = skin.joint[faces[:, 0], 0]
+            for k in np.unique(joint).tolist():
+                frame = self.frames[int(bodies.frame[first]) + k]
+                shapes.append((frame, Shape(frame, x - skin.place[k], faces[joint == k], _sole(BODY))))
+        return shapes
 
-    def _rigid(self) -> list[tuple[str, Shape]]:
-        if (bodies := self._bodies) is None:
+    def points(self, x: Float) -> Float:
+        """Return all points of cloth x (n, 3) [m] and bodies in the world."""
+        return x if self.bodies is None or self.poses is None else np.concatenate([x, self.bodies.at(self.poses)])
+
+    def rigid(self) -> list[tuple[str, Shape]]:
+        """Return the frame of each rigid body, and its shape in it."""
+        if (bodies := self.bodies) is None:
             return []
         rigid = np.ones(len(bodies.vertices), bool)
         for first, skin in bodies.skins:
@@ -337,15 +394,57 @@ class Show:
         return shapes
 
 
+def _of_skin(bodies: Surfaces, first: int, skin: Skin) -> tuple[Float, Int]:
+    """Return vertices and triangles of the skin whose vertices begin with `first`."""
+    stop = first + len(skin.joint)
+    return bodies.vertices[first:stop], bodies.faces[
+        (bodies.faces[:, 0] >= first) & (bodies.faces[:, 0] < stop)
+    ] - first
+
+
+def show_recording(recording: Recording) -> Show:
+    """Return a show for a recording's messages, with its textures and dye. Raises BadInput without cloth."""
+    from nuno.exports.dyed_pictures import read_dyed_object
+
+    for topic, noun in ((STATE, "positions of cloth"), (FABRIC, "description of its cloth")):
+        if not recording.counts.get(topic.name):
+            raise BadInput(f"the recording holds no {noun}", str(recording.path))
+    dyed, view = read_dyed_object(recording), dict(recording.scene.get("view") or {})
+    colour = "stretch" if view.get("colour") == "stretch" else "auto"
+    return Show(functools.partial(read_texture, recording), None if dyed is None else dyed.painter, colour)
+
+
+def follow(recording: Recording, show: Show, progress: Progress | None) -> Iterator[tuple[Recorded, Float | None]]:
+    """Yield each message once `show` has taken it, with positions (n, 3) [m] of `sim/state`.
+
+    Raises BadInput for one that is damaged, and for positions that are not finite.
+    """
+    done = 0
+    for message in recording.messages():
+        with recording.damage_reported(message):
+            show.take(message.topic, message.payload)
+        x = None
+        if message.topic == STATE.name:
+            number, digest = recording.mark(message)
+            x = recording.points(message)
+            check_size(recording, show.pieces, Frame(number, message.t, digest, x), finite=True)
+            done += 1
+            if progress is not None:
+                progress(done, recording.counts[STATE.name])
+        yield message, x
+
+
 def shape_piece(piece: ShownPiece, x: Float) -> Shape:
     """Return a piece at points x (n, 3) [m] as a shape: its triangles, or a net's links, in the colours of its image,
     else its own, else by stretch. With an image each vertex has the colour of its pixel.
     """
     piece = replace(piece, yarns=None)
     if not len(piece.faces):
+        links = _fewest(to_srgb(paint_piece(piece, x)))
+        if len(links) == 1:
+            return Shape(piece.name, x, piece.edges, links)
         ends = np.arange(2 * len(piece.edges), dtype=np.int32).reshape(-1, 2)
-        links = np.repeat(paint_piece(piece, x), 2, axis=0)
-        return Shape(piece.name, x[piece.edges.reshape(-1)], ends, _fewest(to_srgb(links)))
+        return Shape(piece.name, x[piece.edges.reshape(-1)], ends, np.repeat(links, 2, axis=0))
     if piece.image is not None and (laid := piece.laid_out) is not None:
         return Shape(piece.name, x[laid.vertex], laid.faces, sample(piece.image, laid.points) / 255.0)
     return Shape(piece.name, x, piece.faces, _fewest(to_srgb(paint_piece(piece, x))))

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from nuno.exports.meshes import CLOTH, Shape, Show, Turn
+from nuno.exports.meshes import CLOTH, Shape, Turn, follow, show_recording
 from nuno.output_files import Progress, check_folder, load_extra, writing_folder
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.fabric import Float
-from nuno_schemas.messages import BODIES, STATE
+from nuno_schemas.messages import BODIES
 
 VERSION = 8
 """Version of metadata.yaml: the last that Humble reads, and readable by later releases."""
@@ -80,32 +80,29 @@ class _Export:
     def __init__(self, recording: Recording) -> None:
         from rosbags.typesys import Stores, get_typestore
 
-        self.recording, self.show, self.store = recording, Show(recording), get_typestore(Stores.ROS2_HUMBLE)
+        self.recording, self.show, self.store = recording, show_recording(recording), get_typestore(Stores.ROS2_HUMBLE)
 
     def messages(self, progress: Progress | None) -> Iterator[Sent]:
         """Yield all messages, in order. Raises BadInput."""
-        number, done = self.recording.counts[STATE.name], 0
-        numbers = self._numbers()
-        start = next(self.recording.messages([STATE.name])).log_time
-        yield "/tf_static", TRANSFORMS, start, self._turns(self.show.fixed, start)
-        if self.show.bodies:
-            yield "/bodies", MARKERS, start, self._markers(self.show.bodies, start)
-        for message in self.recording.messages([STATE.name, BODIES.name]):
+        numbers, placed, show = self._numbers(), False, self.show
+        for message, x in follow(self.recording, show, progress):
             at = message.log_time
             if message.topic == BODIES.name:
-                poses = self.show.poses(message)
-                yield "/tf", TRANSFORMS, at, self._turns(self.show.turns(poses), at)
-                if skins := self.show.skins(poses):
-                    yield "/skins", MARKERS, at, self._markers([(CLOTH, skin) for skin in skins], at)
+                if not placed and (rigid := show.rigid()):
+                    yield "/bodies", MARKERS, at, self._markers(rigid, at)
+                placed = True
+                yield "/tf", TRANSFORMS, at, self._turns(show.turns(), at)
+            if x is None:
                 continue
-            shapes = [(CLOTH, shape) for shape in self.show.cloth(message)]
+            first, shapes = show.origin is None, show.cloth(x)
+            if first:
+                yield "/tf_static", TRANSFORMS, at, self._turns(show.fixed(), at)
             yield "/cloth", MARKERS, at, self._markers(shapes, at)
-            yield "/cloth_points", POINTS, at, self._points(self.show.points(message, None) - self.show.origin, at)
+            yield "/cloth_points", POINTS, at, self._points(x - show.fixed()[1].translation, at)
+            if skins := show.skins():
+                yield "/skins", MARKERS, at, self._markers(skins, at)
             for topic, value in numbers.get(at, {}).items():
                 yield topic, NUMBER, at, self._new(NUMBER, data=value)
-            done += 1
-            if progress is not None:
-                progress(done, number)
 
     def _numbers(self) -> dict[int, dict[str, float]]:
         """Return the finite numbers of the recording's series by log time [ns] and topic, a valid ROS name."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import time
 from typing import Any
 
 from nuno.bus.encodings import BadMessage
 from nuno.bus.messages import ALL, Inbox, Message, Query
+from nuno.exports.meshes import Show
+from nuno.exports.viewer_messages import PAUSE, ViewerMessages
 from nuno.process import SIGNALS
 from nuno.recording.reader import END, Recording, copy_until, open_recording
 from nuno.recording.writer import RecordingWriter, check_payload, topic_of
@@ -38,7 +41,8 @@ def main(context: Context) -> None:
         with open_recording(folder / context.options.resume) as previous:
             if others := _other_versions(context, previous, metadata["versions"] | metadata["plugins"]):
                 metadata["resumed"] = others
-    writer = RecordingWriter(folder / path, metadata, assets(context.loaded))
+    shown = _viewer_messages(context)
+    writer = RecordingWriter(folder / path, metadata, assets(context.loaded), shown)
     if context.options.resume is not None:
         try:
             with open_recording(folder / context.options.resume) as previous:
@@ -46,6 +50,7 @@ def main(context: Context) -> None:
         except BaseException:
             writer.discard()  # the resumed recording is still whole
             raise
+    shown.pause = PAUSE
     recorder = Recorder(context, inbox, writer)
     try:
         query = each_message(context, inbox, recorder.handle, between=lambda: min(LOOK_SECONDS, writer.flush_due()))
@@ -62,6 +67,17 @@ def main(context: Context) -> None:
     if not writer.closed:
         writer.discard()
     query.answer_json(answer)
+
+
+def _viewer_messages(context: Context) -> ViewerMessages:
+    """Return the maker of the messages for viewers; prints are left out, since a colour for each vertex takes much."""
+    scene, painter = context.loaded.scene, None
+    if scene.dye is not None:
+        from nuno.dye.painter import DyeSketch
+
+        painter = DyeSketch(scene.dye)
+    show = Show(lambda path: None, painter, "plain")
+    return ViewerMessages(show, scene.duration * scene.frame_rate, functools.partial(context.event, "warning"))
 
 
 def _other_versions(context: Context, previous: Recording, here: dict[str, str]) -> dict[str, str]:
@@ -109,6 +125,7 @@ class Recorder:
         if message.topic in FRAMES:
             self._digests[message.topic] = header.digest
             self._context.acknowledge(header.frame, header.t)
+        self._writer.show(message.topic, message.payload)  # the run goes on meanwhile
 
     def finish(self, query: Query) -> dict[str, Any]:
         """Wait for all sent messages, add the report, close the file; return the reply."""

@@ -5,7 +5,8 @@ record: it allocates twice a checkpoint's payload, where a tenth is allowed
 (tests/services/test_recording.py, `test_payloads_are_not_copied`). Here a chunk is a list of
 references to payloads until it is written; the small records are the library's own.
 Chunks are not compressed: mantissas of moving vertices do not shrink, and the solver needs the
-cores. Format: https://mcap.dev/spec.
+cores. Messages that only repeat others for viewers have compressed chunks of their own: the
+topology of a mesh, which each of its messages repeats, then costs nothing. Format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import psutil
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -51,12 +52,37 @@ from nuno_schemas.errors import BadInput
 MAGIC = b"\x89MCAP0\r\n"
 BINARY = "application/octet-stream"
 CHUNK_BYTES = 4 * 2**20
+PACKED_BYTES, PACKED_WINDOW, LARGE = 8 * 2**20, 23, 4096
+"""Size of a compressed chunk, unpacked [bytes], logarithm of the window in which repetitions are found, and least size
+of a message whose packed size is found at once.
+"""
 LATEST = 2**32 * 10**9
 """Upper limit of times [ns]: the formats of recordings and exports have seconds in 32 bits."""
 _MESSAGE = struct.Struct("<BQHIQQ")
-_CHUNK = struct.Struct("<BQQQQIIQ")
+_CHUNK = struct.Struct("<BQQQQII")
 _RECORD_HEAD = 9
 """Bytes of any record before its body: opcode and length."""
+INDEX_ENTRY = 16
+"""Bytes of a message's index."""
+REPEATS = "repeats"
+"""Metadata of channels whose messages only repeat others, for viewers: readers of recordings leave them out."""
+
+
+class Shown(NamedTuple):
+    """A protobuf message for viewers: its topic, type, the FileDescriptorSet that describes it, and its bytes."""
+
+    topic: str
+    name: str
+    schema: bytes
+    payload: bytes
+
+
+def _packer() -> Any:
+    """Return a compressor that finds what repeats at a long distance, fast."""
+    import zstandard
+
+    settings = zstandard.ZstdCompressionParameters.from_level(1, window_log=PACKED_WINDOW, enable_ldm=True)
+    return zstandard.ZstdCompressor(compression_params=settings).compressobj()
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -67,10 +93,13 @@ def record_bytes(record: McapRecord) -> bytes:
 
 @dataclass
 class _OpenChunk:
-    """Records waiting to be written, by reference."""
+    """Records waiting to be written, by reference, or compressed where `packer` is a zstd compressor."""
 
+    packer: Any = None
     pieces: list[bytes] = field(default_factory=list)
     size: int = 0
+    packed: int = 0
+    """Bytes of all pieces."""
     crc: int = 0
     start: int = 0
     end: int = 0
@@ -78,9 +107,17 @@ class _OpenChunk:
     """(log time, offset in the chunk) of each message, by channel."""
 
     def add(self, piece: bytes) -> None:
-        self.pieces.append(piece)
         self.size += len(piece)
         self.crc = zlib.crc32(piece, self.crc)
+        self._keep(piece if self.packer is None else self.packer.compress(piece))
+
+    def _keep(self, piece: bytes) -> None:
+        self.pieces.append(piece)
+        self.packed += len(piece)
+
+    def close(self) -> None:
+        """Finish compression."""
+        self._keep(b"" if self.packer is None else self.packer.flush())
 
     def add_message(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         self.start = min(self.start, log_time) if self.places else log_time
@@ -89,22 +126,32 @@ class _OpenChunk:
         length = _MESSAGE.size - _RECORD_HEAD + len(payload)
         self.add(_MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time))
         self.add(payload)
+        if self.packer is not None and len(payload) > LARGE:  # so that its packed size is known
+            self._keep(self.packer.flush(1))
 
 
 class McapFile:
     """Writes MCAP to a seekable stream. Any method may raise the stream's OSError."""
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, profile: str = "nuno", library: str = "nuno") -> None:
         self._stream = stream
         self._chunk = _OpenChunk()
+        self._repeats = _OpenChunk(_packer())
+        """Messages that repeat others."""
+        self.repeated = 0
+        """Bytes of these messages in the file."""
+        self._shown: dict[tuple[str, str], int] = {}
+        """Their channels, by topic and type."""
         self._schemas: dict[str, Schema] = {}
+        self._described: set[tuple[str, bool]] = set()
+        """Schemas in chunks of either kind."""
         self._channels: list[Channel] = []
         self._chunk_indexes: list[ChunkIndex] = []
         self._attachment_indexes: list[McapRecord] = []
         self._metadata_indexes: list[McapRecord] = []
         self._counts: dict[int, int] = defaultdict(int)
         self._crc = 0
-        self._write(MAGIC, record_bytes(Header("nuno", "nuno")))
+        self._write(MAGIC, record_bytes(Header(profile, library)))
 
     def _write(self, *pieces: bytes) -> int:
         """Write bytes and add them to the checksum of all data; return their number."""
@@ -115,18 +162,36 @@ class McapFile:
 
     def add_channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, schema_data: bytes) -> int:
         """Add a channel and return its id; a schema is written once."""
-        if schema not in self._schemas:
-            self._schemas[schema] = Schema(len(self._schemas) + 1, schema_data, schema_encoding, schema)
-            self._chunk.add(record_bytes(self._schemas[schema]))
-        channel = Channel(len(self._channels) + 1, topic, encoding, {}, self._schemas[schema].id)
+        return self._add_channel(self._chunk, topic, encoding, Schema(0, schema_data, schema_encoding, schema), {})
+
+    def _add_channel(self, chunk: _OpenChunk, topic: str, encoding: str, schema: Schema, marks: dict[str, str]) -> int:
+        if schema.name not in self._schemas:
+            schema.id = len(self._schemas) + 1
+            self._schemas[schema.name] = schema
+        if (schema.name, bool(marks)) not in self._described:  # chunks of either kind may come first
+            self._described.add((schema.name, bool(marks)))
+            chunk.add(record_bytes(self._schemas[schema.name]))
+        channel = Channel(len(self._channels) + 1, topic, encoding, marks, self._schemas[schema.name].id)
         self._channels.append(channel)
-        self._chunk.add(record_bytes(channel))
+        chunk.add(record_bytes(channel))
         return len(self._channels)
 
     def add_message(self, channel: int, sequence: int, log_time: int, publish_time: int, payload: bytes) -> None:
         """Queue a message; times in ns. The payload must not change before `flush`."""
         self._chunk.add_message(channel, sequence, log_time, publish_time, payload)
         self._counts[channel] += 1
+
+    def add_shown(self, shown: Shown, log_time: int, publish_time: int) -> None:
+        """Queue a message that only repeats others; times in ns."""
+        if (key := (shown.topic, shown.name)) not in self._shown:
+            schema = Schema(0, shown.schema, "protobuf", shown.name)
+            self._shown[key] = self._add_channel(self._repeats, shown.topic, "protobuf", schema, {REPEATS: "true"})
+        packed = self._repeats.packed
+        self._repeats.add_message(self._shown[key], 0, log_time, publish_time, shown.payload)
+        self._counts[self._shown[key]] += 1
+        self.repeated += self._repeats.packed - packed + INDEX_ENTRY
+        if self._repeats.size >= PACKED_BYTES:
+            self._repeats = self._write_chunk(self._repeats)
 
     @property
     def pending(self) -> int:
@@ -156,27 +221,36 @@ class McapFile:
         length = self._stream.tell() - offset
         self._attachment_indexes.append(AttachmentIndex(offset, length, 0, 0, size, name, BINARY))
 
-    def flush(self) -> None:
-        """Write the chunk in progress and its message indexes, and flush the stream."""
-        chunk, stream = self._chunk, self._stream
-        if chunk.places:
-            offset, size, times = stream.tell(), chunk.size, (chunk.start, chunk.end)
-            length = _CHUNK.size - _RECORD_HEAD + size
-            self._write(_CHUNK.pack(Opcode.CHUNK, length, *times, size, chunk.crc, 0, size), *chunk.pieces)
-            place = after = stream.tell()
-            index_places: dict[int, int] = {}
-            for channel, places in chunk.places.items():
-                index_places[channel] = place
-                place += self._write(record_bytes(MessageIndex(channel, places)))
-            length = after - offset
-            index = ChunkIndex(length, offset, "", size, chunk.end, place - after, index_places, chunk.start, size)
-            self._chunk_indexes.append(index)
-            self._chunk = _OpenChunk()
-        stream.flush()
+    def flush(self, last: bool = False) -> None:
+        """Write the chunk in progress and its message indexes, and flush the stream; the first and the `last` time also
+        write the messages that repeat others.
+        """
+        self._chunk = self._write_chunk(self._chunk)
+        if last or not any(index.compression for index in self._chunk_indexes):
+            self._repeats = self._write_chunk(self._repeats)
+        self._stream.flush()
+
+    def _write_chunk(self, chunk: _OpenChunk) -> _OpenChunk:
+        """Write a chunk with messages and its message indexes; return the next one of its kind."""
+        if not chunk.places:
+            return chunk
+        chunk.close()
+        size, kind, offset = chunk.packed, "zstd" if chunk.packer else "", self._stream.tell()
+        length = _CHUNK.size - _RECORD_HEAD + len(kind) + 8 + size
+        head = _CHUNK.pack(Opcode.CHUNK, length, chunk.start, chunk.end, chunk.size, chunk.crc, len(kind))
+        self._write(head, kind.encode(), size.to_bytes(8, "little"), *chunk.pieces)
+        place = after = self._stream.tell()
+        index_places: dict[int, int] = {}
+        for channel, places in chunk.places.items():
+            index_places[channel] = place
+            place += self._write(record_bytes(MessageIndex(channel, places)))
+        length, ends = after - offset, (chunk.end, place - after)
+        self._chunk_indexes.append(ChunkIndex(length, offset, kind, size, *ends, index_places, chunk.start, chunk.size))
+        return _OpenChunk(_packer() if kind else None)
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer."""
-        self.flush()
+        self.flush(last=True)
         self._stream.write(record_bytes(DataEnd(self._crc)))
         start = self._stream.tell()
         groups: list[tuple[Opcode, list[McapRecord]]] = [

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import MOST_TEXT, BadMessage, decode_arrays, decode_points
 from nuno.formatting import counted, plain
 from nuno.process import SIGNALS
-from nuno.recording.mcap_file import Damaged, Layout, read_index, read_layout, read_messages, read_record
+from nuno.recording.mcap_file import REPEATS, Damaged, Layout, read_index, read_layout, read_messages, read_record
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
 from nuno.recording.writer import RecordingWriter, check_payload, part_of, topic_of
 from nuno_schemas import SCHEMA_VERSION
@@ -94,7 +94,9 @@ class Recording:
         self._read: tuple[int, list[Message]] = -1, []
         """Position of the chunk that was read last, and its messages."""
         self._marks: dict[str, dict[int, tuple[int, str]]] = {}
-        self._topics = {id: channel.topic for id, channel in self.layout.channels.items()}
+        self._topics = {
+            id: channel.topic for id, channel in self.layout.channels.items() if REPEATS not in channel.metadata
+        }
 
     def __enter__(self) -> Self:
         return self
@@ -626,3 +628,4 @@ def copy_until(recording: Recording, writer: RecordingWriter) -> None:
         if message.topic != REPORT.name and (earlier or same):
             header = Header(run="", service="", seq=message.seq, frame=0, t=message.t)
             writer.write(message.topic, header, message.payload)
+            writer.show(message.topic, message.payload)

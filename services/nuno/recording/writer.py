@@ -9,7 +9,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,12 +17,18 @@ from pydantic import ValidationError
 
 from nuno.bus.encodings import ARRAYS_SCHEMA, BadMessage, arrays_schema, check_protobuf, foxglove_schema
 from nuno.process import check_unprotected, hold
-from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile
+from nuno.recording.mcap_file import CHUNK_BYTES, LATEST, MAGIC, McapFile, Shown
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import EVENT, MODELS, TOPICS, Header, Topic
 
 FLUSH_SECONDS = 0.5
 """Most wall time that is lost if the process is killed [s]."""
+
+
+Repeat = Callable[[str, int, bytes, int, int], Iterable[Shown]]
+"""Returns the messages for viewers of a message, by its topic, log time [ns] and payload, and by the bytes so far of
+all messages, and of those for viewers as they are in the file.
+"""
 
 
 def topic_of(name: str) -> Topic | None:
@@ -102,15 +108,17 @@ class RecordingWriter:
 
     metadata     name -> fields, written first
     attachments  name -> bytes or path, the files that the scene used
+    repeat       returns the messages for viewers of a message
 
     Raises BadInput where the file cannot be created, RunFailed when writing fails later (disk
     full): the ".part" then ends with its last whole chunk, and can be read.
     """
 
     def __init__(
-        self, path: Path, metadata: dict[str, dict[str, str]], attachments: Mapping[str, bytes | Path]
-    ) -> None:
-        self.path = path
+        self, path: Path, metadata: dict[str, dict[str, str]], attachments: Mapping[str, bytes | Path],
+        repeat: Repeat = lambda *message: (),
+    ) -> None:  # fmt: skip
+        self.path, self._repeat = path, repeat
         self.counts: dict[str, int] = defaultdict(int)
         self.seconds = 0.0
         self.bytes = 0
@@ -156,6 +164,14 @@ class RecordingWriter:
         self.bytes += len(payload)
         self.seconds += time.perf_counter() - start
 
+    def show(self, topic: str, payload: bytes) -> None:
+        """Add the messages for viewers of the last message, at its time. Raises RunFailed when the disk is full."""
+        try:
+            for shown in self._repeat(topic, self._latest, payload, self.bytes, self._file.repeated):
+                self._file.add_shown(shown, self._latest, time.time_ns())
+        except OSError as error:
+            raise self._failure(error) from None
+
     def flush_due(self) -> float:
         """Flush messages after half a second of wall time; return how long they may still wait [s], inf for none.
 
@@ -179,6 +195,7 @@ class RecordingWriter:
         kept = self.path if whole or not self.path.exists() else part_of(self.path)
         try:
             # The last messages come before the closing metadata, also in a file cut in between.
+            self._file.flush(last=True)
             self._flush()
             for name, fields in metadata.items():
                 self._file.add_metadata(name, fields)

@@ -50,8 +50,10 @@ FINEST = 1000
 """Most steps in place of one after changes during a run."""
 
 
-FILE, STATUS, MESSAGE = 16_000, 530, 50
-"""Bytes of a file beside its messages, of a frame's status with its message, and of a message beside its payload."""
+FILE, STATUS, MESSAGE, SHOWN = 20_000, 530, 50, 30_000
+"""Bytes of a file beside its messages, of a frame's status with its message, of a message beside its payload, and of
+bodies for viewers, for whom all else takes a twentieth more.
+"""
 
 
 class Stepper(ABC):
@@ -221,6 +223,7 @@ class Stepper(ABC):
         """
         scene = self.loaded.scene
         size += FILE + scene.frames * STATUS + sum(file.stat().st_size for file in assets(self.loaded).values())
+        size += size // 20 + (SHOWN if scene.bodies else 0)
         rate = factor(1 / scene.frame_rate / seconds)
         return [
             ("frames", f"{scene.frames} in {scene.frames / scene.frame_rate:g} s{more}"),

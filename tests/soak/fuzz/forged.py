@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from nuno.bus.encodings import decode_arrays, encode_arrays
-from nuno.recording.mcap_file import McapFile
+from nuno.recording.mcap_file import REPEATS, McapFile
 from soak.fuzz.containers import RECORDING, mcap_record, mutate_arrays
 from soak.fuzz.mutate import mutate_bytes
 
@@ -76,12 +76,14 @@ class Held:
 
     @classmethod
     def of(cls, data: bytes) -> Held:
-        """What is in a file."""
+        """What is in a file, but for what it repeats for viewers."""
         reader, held = make_reader(io.BytesIO(data)), cls()
         for record in reader.iter_metadata():
             held.metadata[record.name] = dict(record.metadata)
         held.attachments = [(one.name, one.data) for one in reader.iter_attachments()]
         for schema, channel, m in reader.iter_messages(log_time_order=False):
+            if REPEATS in channel.metadata:
+                continue
             name = schema.name if schema else ""
             held.items.append(Item(channel.topic, channel.message_encoding, name, m.sequence, m.log_time, m.data))
         return held
