@@ -111,7 +111,7 @@ def test_a_round_body_is_not_changed_and_a_box_has_creases() -> None:
 def test_layers_in_contact_are_not_bent_towards_each_other() -> None:
     """Each by itself is round between its vertices; near each other both are as flat as their triangles."""
     mesh = sheet(False, 0.1)
-    other = replace(mesh, vertices=mesh.vertices + [0.0, 0.0, 1e-3])
+    other = replace(mesh, vertices=mesh.vertices + np.array([0.0, 0.0, 1e-3]))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
