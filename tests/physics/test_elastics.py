@@ -17,8 +17,7 @@ from nuno.scene import scene_file
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
 from nuno.simulation.yarns import structural_edges
-from nuno_cloth.models.pattern import HELD, Pattern, PatternConfig
-from nuno_cloth.sewing.elastic import DENSITY, STIFFNESS, girth_inside
+from nuno_cloth.models.pattern import DENSITY, HELD, STIFFNESS, Pattern, PatternConfig, girth_inside
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Springs
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from nuno_render.config import PathsConfig, RasterConfig
-from nuno_render.paths.renderer import Paths
+from nuno_render.paths_of_light import Paths
 from nuno_render.raster import Raster
 from nuno_schemas.colour import to_linear
 from nuno_schemas.pictures import Camera, Mesh, axes, frame

@@ -9,8 +9,7 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from nuno_contact.body_shapes.solids import box_mesh, cone_mesh
-from nuno_contact.colliders.mesh import MeshConfig
+from nuno_contact.colliders.mesh import MeshConfig, box_mesh, cone_mesh
 
 SIZE = (0.4, 0.7, 0.3)
 CASES = [("box", 1.0, 0.0), ("box", 1.0, 0.05), ("box", 1.0, 0.149), ("cone", 1.0, 0.0), ("cone", 1.0, 0.05),
@@ -30,7 +29,7 @@ def volume(kind: str, top: float, r: float) -> float:
         a, b, c = (side - 2.0 * r for side in SIZE)
         edges = math.pi * r * r * (a + b + c) + 4.0 / 3.0 * math.pi * r**3
         return a * b * c + 2.0 * r * (a * b + b * c + c * a) + edges
-    from nuno_contact.body_shapes.solids import _outline
+    from nuno_contact.colliders.mesh import _outline
 
     radius, y = _outline(0.5 * SIZE[0], 0.5 * top * SIZE[0], SIZE[1], r, 1e-4).T
     frustums = np.diff(y) * (radius[1:] ** 2 + radius[1:] * radius[:-1] + radius[:-1] ** 2) / 3.0

@@ -64,7 +64,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_starts(
     path: Path, tmp_path: Path, flags: list[str], field: str, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    monkeypatch.setattr("nuno_render.paths.renderer.Paths.require", lambda self: None)
+    monkeypatch.setattr("nuno_render.paths_of_light.Paths.require", lambda self: None)
     assert main(["export", str(path), "--png", str(tmp_path / "a.png"), *flags]) == 2
     assert f"{field}:" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -124,7 +124,7 @@ def test_a_film_of_what_stands_still_is_not_blurred(path: Path) -> None:
 def test_nothing_imports_mitsuba_before_it_draws() -> None:
     code = (
         "import sys, nuno.cli.run, nuno.cli.recordings, nuno.exports.animations, nuno_render.raster; "
-        "import nuno_render.paths.renderer; assert not {'mitsuba', 'drjit', 'pyoidn'} & set(sys.modules)"
+        "import nuno_render.paths_of_light; assert not {'mitsuba', 'drjit', 'pyoidn'} & set(sys.modules)"
     )
     done: Any = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

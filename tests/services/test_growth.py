@@ -16,8 +16,7 @@ from scenes import BALL, write_scene
 import nuno
 from nuno.cli import main
 from nuno.scene import scene_file
-from nuno.simulation.energy_growth import internal
-from nuno.simulation.run import Simulation
+from nuno.simulation.run import Simulation, internal
 
 SEEDS, SHARE, QUICK = 200, 0.9, (3, 134)
 EXPLICIT = sorted(point.name for point in entry_points(group="nuno.integrators") if point.load().explicit)

@@ -13,8 +13,7 @@ from browser import Page
 from studio_desk import FILE, NEEDS_BROWSER, look
 
 import nuno
-from nuno.python_api.fit import map_fits
-from nuno.python_api.fit_report import tables
+from nuno.python_api.fit import map_fits, tables
 from nuno.scene import scene_file, shipped
 from nuno.studio.desk import Desk
 from nuno.studio.server import Server

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from nuno.cli.active_runs import align
 from nuno.cli.common import add_flags
-from nuno.python_api.fit import Fit, read_fits
-from nuno.python_api.fit_report import pressing, remarks, tables
+from nuno.python_api.fit import Fit, pressing, read_fits, remarks, tables
 from nuno.recording.reader import open_recording
 from nuno.runtime import runs
 from nuno_schemas.errors import BadInput

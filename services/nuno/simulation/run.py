@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy, deepcopy
 from dataclasses import replace
 from functools import partial
@@ -31,7 +32,6 @@ from nuno.scene.step import choose_step, find_limit
 from nuno.simulation import cloth
 from nuno.simulation.cloth import build_fabric, join_fabrics
 from nuno.simulation.costs import Costs, FrameStart, Stage
-from nuno.simulation.energy_growth import FINER, EnergyGrowth, internal
 from nuno.simulation.operations import carry, fabric_arrays, fabric_from, frames_bound, parse
 from nuno.simulation.relax import BALANCED, EXACT, REST_SPEED, Relaxation, Stillness, damped, unsettled
 from nuno.simulation.renumbering import (
@@ -52,6 +52,53 @@ from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.plugin import Rested
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
+
+# Energy that grows without work, by which a run is seen to diverge.
+
+NEAREST = 0.95
+"""Share of the limit above which the bound on the energy is constant."""
+FINER = 8
+"""Steps in place of one, in a frame that is simulated again."""
+MARGIN = 1.25
+"""Factor over the energy bound of a stable step, for its errors of higher order."""
+
+
+class EnergyGrowth:
+    """The energy of a run [J] against its bound.
+
+    Symplectic Euler keeps H = T + U - h v F / 2 of a mode, h being the step, while T + U comes to H / (1 - r) at a
+    share r of the limit, and H is at most T + U + 2 r sqrt(T U) of the start; leapfrog keeps T + U nearer. Only more
+    than that, for all energy in the fastest mode, is growth.
+
+    account  (2,) kinetic, elastic and gravitational energy of the start, and the largest kinetic and elastic energy
+             that gravity has allowed so far; a resumed run continues with it
+    """
+
+    def __init__(self, energy: Mapping[str, float], share: float, least: float) -> None:
+        """energy: by kind at the start; share: of the longest stable step; least: energy that is never growth [J]."""
+        inner, kinetic, r = internal(energy), energy.get("kinetic", 0.0), min(share, NEAREST)
+        swing = 2.0 * r * math.sqrt(max(kinetic * (inner - kinetic), 0.0)) / inner if inner > 0.0 else 0.0
+        self.factor, self.least = MARGIN * (1.0 + swing) / (1.0 - r), least
+        self.account: Float = np.array([sum(energy.values()), inner])
+
+    def exceeds(self, energy: Mapping[str, float]) -> bool:
+        """Return whether energy [J] by kind exceeds the bound; false where it is not finite."""
+        self.account[1] = max(self.account[1], self.account[0] - energy.get("gravitational", 0.0))
+        return self.is_more(energy, float(self.account[1]))
+
+    def is_more(self, energy: Mapping[str, float], available: float) -> bool:
+        """Return whether no stable step turns the `available` energy [J] into this energy [J] by kind."""
+        return internal(energy) > self.factor * available + self.least
+
+    def allow(self, energy: Mapping[str, float]) -> None:
+        """Raise the bound to this energy [J] by kind, as the result of work."""
+        self.account[:] = np.maximum(self.account, [sum(energy.values()), internal(energy)])
+
+
+def internal(energy: Mapping[str, float]) -> float:
+    """Return the sum of kinetic and elastic energy [J]."""
+    return sum(energy.values()) - energy.get("gravitational", 0.0)
+
 
 RELAXATION = "relaxation"
 """Name of the array `Relaxation.memory` in the solver's memory."""

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from nuno.formatting import duration
-from nuno.python_api.fit import map_fits
-from nuno.python_api.fit_report import pressing, remarks, tables, verdict
+from nuno.python_api.fit import map_fits, pressing, remarks, tables, verdict
 from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
 from nuno.report.run_report import recorded_lines

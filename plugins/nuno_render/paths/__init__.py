@@ -1,1 +1,0 @@
-"""Pictures by following the paths of light, by Mitsuba 3."""
