@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rrd import read, write
+from rrd import curves, write
 from scenes import BALL, write_scene
 from viewer_run import RATE, messages
 
@@ -75,5 +75,5 @@ def test_forces_on_bodies_are_curves(tmp_path: Path) -> None:
                 for name in ("bar", "floor")]  # fmt: skip
         contact = Contact(frame=frame, t=frame / RATE, bodies=felt)
         fed.append((CONTACT.name, frame, frame / RATE, contact.model_dump_json().encode()))
-    curves = read(write(tmp_path / "run.rrd", fed), "/plots/contact", "Scalars:scalars")
-    assert curves == {0: [0.0, 0.0], 1: [5.0, 5.0]}
+    found = curves(write(tmp_path / "run.rrd", fed), "/plots/contact")
+    assert found == {"bar": {0: 0.0, 1: 5.0}, "floor": {0: 0.0, 1: 5.0}}

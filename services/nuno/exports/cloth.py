@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,14 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Arrays, Frame, Recorded
 from nuno.scene.recorded_scene import restored_scene
 from nuno.simulation import cloth
-from nuno.simulation.yarns import Tensions, find_pressure, has_pressure
 from nuno_schemas.bodies import PLANE, Geometry, Poses
 from nuno_schemas.colour import colours, parse_hex, read_rgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int, Panels
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
+
+if TYPE_CHECKING:
+    from nuno.simulation.yarns import Tensions
 
 # Texture coordinates per corner of a triangle, and panels, from a fabric message.
 
@@ -177,6 +179,8 @@ def cut_pieces(arrays: Arrays, text: Mapping[str, Any], by_stretch: bool = False
 
     Raises LookupError, ValueError, TypeError, AttributeError or OverflowError for an inconsistent message.
     """
+    from nuno.simulation.yarns import Tensions  # a recorder of dye alone has no use for it
+
     number = int(text["vertices"])
     faces, edges = (read_indices(name, arrays[name], width, number) for name, width in (("faces", 3), ("edges", 2)))
     lengths = {"edge_rest": len(edges), "edge_yarn": len(edges), "uv": number, "pinned": number}
@@ -321,6 +325,8 @@ def read_pressure(recording: Recording) -> Pressures | None:
     arrays, _ = recording.fabric()
     if "edge_yarn" not in arrays:
         return None
+    from nuno.simulation.yarns import find_pressure, has_pressure
+
     with restored_scene(recording) as loaded:
         fabric, _ = cloth.build_fabric(loaded)
     if not has_pressure(fabric):

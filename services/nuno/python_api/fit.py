@@ -46,6 +46,8 @@ def map_fits(
     numbers = sorted(number for number, _ in recording.marks().values())
     if not numbers:
         raise BadInput("the recording holds no frames", str(recording.path))
+    if frame is not None and frame not in numbers:
+        raise recording.no_frame(frame, numbers)
     with restored_scene(recording) as loaded:
         wearer(loaded, body, 0.0, str(recording.path))  # refused before the frame is simulated again
     (moment,) = states(recording, [numbers[-1] if frame is None else frame], forces=True)

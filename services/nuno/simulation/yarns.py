@@ -203,6 +203,8 @@ def measure_stretch(fabric: Fabric, x: Float) -> dict[str, Any]:
     stretch = np.full(len(x), -1.0)
     for end in pairs.T:
         np.maximum.at(stretch, end, np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0)
+    if not np.isfinite(stretch).all():  # positions beyond what a square can have
+        return {}
     order, most = np.argsort(stretch), int(stretch.argmax())
     below = np.searchsorted(np.cumsum(weight[order]), SPREAD * weight.sum())
     return {"area": SPREAD, "below": float(stretch[order[below]]), "most": float(stretch[most]), "vertex": most,

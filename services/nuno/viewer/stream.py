@@ -179,12 +179,17 @@ class Subject(BaseModel):
 def properties(scene: Mapping[str, Any], versions: Mapping[str, str]) -> dict[str, str]:
     """Return what rerun says of a recording: its scene, cloth, solver, step and versions, from the scene's data."""
     found: dict[str, str] = {"scene": str(scene.get("name", ""))}
-    models = [piece.get("model") or {} for piece in scene.get("objects") or ()]
+    models = [_fields(piece.get("model")) for piece in scene.get("objects") or ()]
     found["cloth"] = ", ".join(str(model.get("fabric") or model.get("plugin", "")) for model in models)
-    solver = scene.get("solver") or {}
+    solver = _fields(scene.get("solver"))
     found |= {"solver": str(solver.get("plugin", "")), "dt": str(solver.get("dt", ""))}
     found["versions"] = ", ".join(f"{name} {version}" for name, version in versions.items())
     return {name: text for name, text in found.items() if text}
+
+
+def _fields(choice: Any) -> dict[str, Any]:
+    """Return the fields of a choice of a plugin, which may be its name alone."""
+    return choice if isinstance(choice, dict) else {"plugin": choice or ""}
 
 
 def describe(recording: Any, subject: Subject) -> None:
