@@ -200,9 +200,11 @@ def measure_stretch(fabric: Fabric, x: Float) -> dict[str, Any]:
     weight = (
         np.bincount(fabric.faces.reshape(-1), area, len(x)) if len(area) else np.bincount(pairs[:, 0], minlength=len(x))
     )
+    with np.errstate(over="ignore", invalid="ignore"):
+        elongation = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0
     stretch = np.full(len(x), -1.0)
     for end in pairs.T:
-        np.maximum.at(stretch, end, np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0)
+        np.maximum.at(stretch, end, elongation)
     if not np.isfinite(stretch).all():  # positions beyond what a square can have
         return {}
     order, most = np.argsort(stretch), int(stretch.argmax())
