@@ -106,3 +106,19 @@ def test_recordings_that_cannot_be_compared_are_refused(pair: list[str], tmp_pat
     assert main(["view", pair[0], str(late.finish({})), "--save", str(saved)]) == 2
     assert main(["view", pair[0], "--over", "--save", str(saved)]) == 2
     assert not list(tmp_path.glob("*.rrd*"))
+
+
+def test_an_interrupted_comparison_keeps_the_file_of_before_and_leaves_no_part(
+    pair: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved = tmp_path / "both.rrd"
+    assert main(["view", *pair, "--save", str(saved)]) == 0
+    before = saved.read_bytes()
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nuno.viewer.comparison._log_difference", interrupt)
+    assert main(["view", *pair, "--save", str(saved)]) == 1
+    assert saved.read_bytes() == before
+    assert list(tmp_path.glob("*.rrd*")) == [saved]

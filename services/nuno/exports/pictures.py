@@ -106,7 +106,7 @@ class Painter:
     """Changes of the scene's camera, and of dye on an object."""
     rendering: Rendering = PLAIN_RENDERING
     number: int = 1
-    """How many pictures will be drawn, for the time that is told of a slow renderer."""
+    """How many pictures will be drawn, by which a slow renderer estimates its time."""
 
     def __post_init__(self) -> None:
         check_colour(self.colour)

@@ -185,7 +185,15 @@ class Bridge:
         self._eye: layout.Eye | None = None
         self._first: Float | None = None
         """Positions of the cloth's first frame, until the bodies have poses, too."""
-        self._handlers: dict[str, Callable[[bytes], None]] = {
+        self._handlers = self._by_topic()
+        # Wall-clock timelines would make two conversions of one recording differ.
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
+        self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+
+    def _by_topic(self) -> dict[str, Callable[[bytes], None]]:
+        """Return what handles the messages of each shown topic."""
+        handlers: dict[str, Callable[[bytes], None]] = {
             FABRIC.name: self._fabric,
             STATE.name: self._state,
             STATUS.name: self._status,
@@ -199,15 +207,12 @@ class Bridge:
             REPORT.name: self._report,
         }
         if self.dyed is not None:
-            self._handlers |= {
+            handlers |= {
                 CLOTH.name: self.dyed.take_cloth,
                 CONCENTRATION.name: self._amounts,
                 DYE_STATUS.name: self.dyed.take_status,
             }
-        # Wall-clock timelines would make two conversions of one recording differ.
-        recording.set_log_time_enabled(False)
-        recording.set_log_tick_enabled(False)
-        self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+        return handlers
 
     def feed(self, topic: str, frame: int, t: float, payload: bytes) -> None:
         """Log one message, unless its topic is not shown. A message outside any frame

@@ -41,7 +41,7 @@ def read_image(path: str) -> NDArray[np.uint8] | None:
 
 
 class Cloth:
-    """Logs one object of a scene below `path`: its own look, and beside it colours by fields, which views choose.
+    """Logs one object of a scene below `path`: its own look, and colours by fields, which views choose.
 
     recording  the rerun stream
     scales     colour scales of fields, by name; they grow with the values

@@ -68,8 +68,7 @@ def compare(recordings: Sequence[Recording], path: Path, over: bool = False, col
     scales = {name: Scale(quantity) for name, quantity in QUANTITIES.items()}
     names = names_of(recordings)
     with ExitStack() as stack:
-        file = RrdFile(path, together(recordings))
-        stack.callback(lambda: file.abort() if not path.exists() else None)
+        file = stack.enter_context(RrdFile(path, together(recordings)))
         compared = [
             Compared(name, recording, _bridge(file, layout.Paths(name, tone), recording, stack, scales, colour))
             for name, recording, tone in zip(names, recordings, itertools.cycle(layout.CURVES))

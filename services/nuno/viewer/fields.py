@@ -1,4 +1,4 @@
-"""Values that the viewer colours cloth by, beside its own look: their scales, colours and legends."""
+"""Values that the viewer can colour cloth by: their scales, colours and legends."""
 
 from __future__ import annotations
 

@@ -7,8 +7,9 @@ import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
+import psutil
 import rerun as rr
 from pydantic import ValidationError
 
@@ -53,6 +54,14 @@ class RrdFile:
         self.recording.set_log_time_enabled(False)  # two conversions of one recording are equal
         self.recording.set_log_tick_enabled(False)
         describe(self.recording, subject)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Delete the file if it was left before it was finished by any error, an interrupt too."""
+        if kind is not None:
+            self.abort()
 
     def check(self) -> None:
         """Raise RunFailed if writing has failed."""
@@ -182,17 +191,16 @@ def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
         painter = None
         if recording.scene.get("dye"):  # the scene's files exist within this block
             painter = viewer_painter(stack.enter_context(restored_scene(recording)))
-        file = RerunFile(path, subject_of(recording), lambda name: read_texture(recording, name), painter, colour)
+        subject = subject_of(recording)
+        file = stack.enter_context(
+            RerunFile(path, subject, lambda name: read_texture(recording, name), painter, colour)
+        )
+        measure_scales(recording, file.bridge.scales)
         try:
-            measure_scales(recording, file.bridge.scales)
             for message in recording.messages():
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
         except BadMessage as error:
-            file.abort()
             raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
-        except BadInput:
-            file.abort()
-            raise
         return file.finish()
 
 
@@ -206,6 +214,6 @@ def show_file(path: Path, subject: Subject, view: str) -> OpenViewer:
         stream.log_file_from_path(path)
         stream.flush(timeout_sec=FLUSH_SECONDS)
         stream.disconnect()
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, psutil.Error) as error:
         raise RunFailed(f"the viewer does not show it: {error}") from None
     return viewer
