@@ -44,7 +44,7 @@ soak: .venv/dev.stamp  ## reliability at length, into its page: hours
 	PYTHONPATH=tests:tests/services $(BIN)/python -m soak --docs docs/measured/reliability.md $(ARGS)
 
 peers: .venv/dev.stamp  ## other engines: those that benchmarks and some tests compare with, and the path tracer
-	$(call INSTALL,".[peers,paths]")
+	$(call INSTALL,".[peers]")
 
 lock: | .venv/bin/python  ## versions and hashes of all that a container installs
 	$(BIN)/python -m pip install --disable-pip-version-check uv
