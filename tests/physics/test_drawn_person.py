@@ -9,14 +9,19 @@ from nuno.collision.bodies import build_bodies, surface
 from nuno.collision.distance import signed_distance
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
+from nuno.simulation.cloth import build_fabrics
 from nuno_contact.skinning.drawn_person import COVERED, read_person
-from nuno_schemas.bodies import CAPSULE, SKIN
+from nuno_geometry.closest_point import closest_points
+from nuno_geometry.tree import build_tree
+from nuno_schemas.bodies import CAPSULE, SKIN, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.plugin import Mover
 
 SCENES = ["skirt-hula", "skirt-walk"]
 NEAR = 4e-3
 """How far the skin may stick out between the times at which it was drawn in [m]: half of the least margin."""
+CLOSED = 0.012
+"""How far a waistband may be from the skin [m]; contact keeps cloth about as far off the capsules."""
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -29,6 +34,23 @@ def test_the_skin_is_in_the_capsules_where_cloth_hangs_over_it(name: str) -> Non
         poses = bodies.poses(t)
         depth = signed_distance(shown.at(poses)[covered], bodies.geometry, poses)
         assert depth.max() < NEAR
+
+
+@pytest.mark.parametrize("name", [*SCENES, "contact/two-garments"])
+def test_the_waistband_closes_on_the_skin(name: str) -> None:
+    """At any time: the trunk fills the capsules that the waistband goes round."""
+    loaded = scene_file.read(shipped.scenes()[name])
+    bodies, skirt = build_bodies(loaded), build_fabrics(loaded)[0]
+    (binding,) = skirt.bindings
+    start, shown = bodies.poses(0.0), surface(bodies.drawn)
+    place = bodies.drawn.frames.index(f"{binding.body}/{binding.frame}")
+    held = (skirt.position[binding.vertices] - start.translation[place]) @ rotation_matrices(start.rotation)[place]
+    for t in np.arange(0.0, 4.0, 0.31):
+        poses = bodies.poses(t)
+        waist = held @ rotation_matrices(poses.rotation)[place].T + poses.translation[place]
+        skin = build_tree(shown.at(poses), shown.faces)
+        away = closest_points(skin, waist).distance
+        assert away.min() > 0.0 and away.max() < CLOSED
 
 
 @pytest.mark.parametrize("name", SCENES)

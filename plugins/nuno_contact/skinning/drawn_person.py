@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +25,8 @@ LOOKED = np.arange(0.0, 6.0, 0.25)
 COVERED = ("hips", "left_thigh", "right_thigh", "left_shin", "right_shin")
 """Parts that lie within the capsules, so that they do not show through cloth: round capsules have the girths of a body
 that is wider than deep."""
+TRUNK = ("hips", "spine", "chest")
+"""Parts that fill the hips' capsules, so that a waistband round these closes on the skin: a back is hollow there."""
 
 
 class Person(NamedTuple):
@@ -56,7 +59,7 @@ def draw_person(mover: Mover, height: float, frame: Int, a: Float, b: Float, rad
     a to b (p, 3) of `radius` (p,) [m]. Raises BadInput for a motion without a body's joints.
 
     The skin is bent from its own pose into that of the skeleton at rest, part by part as a motion is retargeted, and
-    then follows the skeleton's joints.
+    then follows the skeleton's joints. Its trunk fills the hips' capsules, its hips and legs lie within all capsules.
     """
     person, roles = read_person(), find_roles(mover)
     scale = height / person.figure.height
@@ -69,9 +72,10 @@ def draw_person(mover: Mover, height: float, frame: Int, a: Float, b: Float, rad
     # A skeleton's hips may be anywhere in the pelvis; a body's are between its hip joints.
     place[goes.index("hips")] = 0.5 * (rest[roles["left_thigh"]] + rest[roles["right_thigh"]])
     bent = Skin(gait.place[number], person.part, person.weight).bend(scale * person.x, gait.aligned[number], place)
-    share = np.where(np.isin(person.part, [person.parts.index(name) for name in COVERED]), person.weight, 0.0).sum(
-        axis=1
-    )
+    hips = frame == roles["hips"]
+    inside, out = from_nearest(bent, a[hips] + rest[roles["hips"]], b[hips] + rest[roles["hips"]], radius[hips])
+    bent += (share_of(person, TRUNK) * np.maximum(-inside, 0.0))[:, None] * out
+    share = share_of(person, COVERED)
     covered = np.flatnonzero(share)
     skin = Skin(np.ascontiguousarray(rest), np.ascontiguousarray(joint[person.part]), person.weight)
     part = Skin(rest, skin.joint[covered], skin.weight[covered])
@@ -79,14 +83,21 @@ def draw_person(mover: Mover, height: float, frame: Int, a: Float, b: Float, rad
         rotation, origin = mover.pose(t)
         matrix = rotation_matrices(rotation)
         start, end = ((matrix[frame] * point[:, None]).sum(axis=2) + origin[frame] for point in (a, b))
-        off = draw_in(part.bend(bent[covered], rotation, origin), start, end, radius)
+        outside, out = from_nearest(part.bend(bent[covered], rotation, origin), start, end, radius)
+        off = -np.maximum(outside, 0.0)[:, None] * out
         bent[covered] += share[covered, None] * (off[:, :, None] * matrix[part.joint[:, 0]]).sum(axis=1)
     return DrawnSkin(np.ascontiguousarray(bent), person.faces, skin)
 
 
-def draw_in(x: Float, a: Float, b: Float, radius: Float) -> Float:
-    """Return by how much points x (n, 3) [m] outside of all capsules a to b (p, 3) are to move to the nearest one's
-    surface (n, 3).
+def share_of(person: Person, parts: Sequence[str]) -> Float:
+    """Return the weight (v,) that parts have of each vertex."""
+    chosen = np.isin(person.part, [person.parts.index(name) for name in parts])
+    return np.asarray(np.where(chosen, person.weight, 0.0).sum(axis=1))
+
+
+def from_nearest(x: Float, a: Float, b: Float, radius: Float) -> tuple[Float, Float]:
+    """Return the signed distance (n,) [m] of points x (n, 3) from the nearest of capsules a to b (p, 3), negative
+    inside, and the unit vectors (n, 3) out of it.
     """
     along = b - a
     share = np.clip(dot(x[:, None] - a, along) / np.maximum(dot(along, along), 1e-30), 0.0, 1.0)
@@ -95,5 +106,4 @@ def draw_in(x: Float, a: Float, b: Float, radius: Float) -> Float:
     nearest = (distance - radius).argmin(axis=1)
     rows = np.arange(len(x))
     away, distance = away[rows, nearest], distance[rows, nearest]
-    outside = distance - radius[nearest]
-    return np.asarray(-np.maximum(outside, 0.0)[:, None] * away / np.maximum(distance, 1e-30)[:, None])
+    return distance - radius[nearest], away / np.maximum(distance, 1e-30)[:, None]
