@@ -17,7 +17,7 @@ from PIL import Image
 from rrd import curves, read
 
 import nuno
-from nuno.bus.encodings import decode_arrays
+from nuno.bus.encodings import decode_arrays, encode_arrays
 from nuno.cli import main
 from nuno.dye.painter import DyePainter
 from nuno.scene import scene_file
@@ -102,6 +102,21 @@ def test_curves_are_the_amounts_that_were_reported(run: Path) -> None:
             assert shown[name][frame] == series[f"{name}_blue"][frame]
         assert shown["total"][frame] == shown["mobile"][frame] + shown["fixed"][frame]
     assert shown["fixed"][10] > shown["fixed"][1] > 0.0
+
+
+def test_a_front_is_as_far_from_its_middle_as_the_disc_that_is_dyed(run: Path) -> None:
+    """A disc's radius to half a cell, however the dye is shared by its layers; what is nearly empty is not reached."""
+    size, radius, full = 5e-5, 20.0, 0.5
+    y, x = np.mgrid[-32:32, -32:32] + 0.5
+    disc = np.hypot(x, y) < radius
+    phi, fixed = np.zeros((2, 1, 2, 64, 64))
+    phi[0, 0], fixed[0, 1] = np.where(disc, 0.02 * full, 0.009 * full), np.where(disc, 0.3 * full, 0.0)
+    payload = encode_arrays({"phi": phi, "fixed": fixed}, {})
+    assert dyed.front_radii(payload, full, size) == pytest.approx([radius * size], abs=0.5 * size)
+    front = curves(run / "run.rrd", "/plots/front")["blue"]
+    with nuno.open(run / "run.mcap") as recording:
+        sent = [message.payload for message in recording.messages([CONCENTRATION.name])]
+    assert list(front.values()) == [1e3 * dyed.front_radii(payload, 1.0, size)[0] for payload in sent]
 
 
 def test_what_looks_as_before_is_not_logged_again(run: Path, tmp_path: Path) -> None:

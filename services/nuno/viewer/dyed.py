@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from nuno.dye.painter import DyePainter
 from nuno.scene.scene_file import Loaded
 from nuno.viewer import layout
 from nuno.viewer.fields import round_up
+from nuno_schemas.fabric import Float
 from nuno_schemas.messages import DyeStatus
 from nuno_schemas.pictures import Picture
 
@@ -31,6 +32,8 @@ QUALITY = 92
 AMOUNTS, WIDTHS = ("supplied", "total", "mobile", "fixed"), (5.0, 2.0, 2.0, 2.0)
 """Curves of each dye. Supplied is the widest, and first: total lies on it."""
 TIME = "computing the frame"
+REACHED = 0.01
+"""A dye has reached a cell that holds at least this share of what a cell can."""
 
 
 class DyedCloth:
@@ -60,6 +63,8 @@ class DyedCloth:
         self.shown: Picture | None = None
         self._wear, self._arrange = wear, arrange
         self._waiting: tuple[int, float, bytes] | None = None
+        self._fronts: Callable[[bytes], Mapping[str, float]] | None = None
+        """Returns the radius that each dye has reached [mm], of flat cloth once it is known."""
         self._drawn = -math.inf
         """Wall time of drawing the last picture [s]."""
         self._last = -math.inf
@@ -80,12 +85,19 @@ class DyedCloth:
         self.shown = None
         if self._wear is None:
             arrays, text = decode_arrays(payload)
+            names, full = list(text["dyes"]), float(text["v_max"])
+            layout.log_names(self.recording, self.paths, "front", names)
+            self._fronts = lambda amounts: dict(
+                zip(names, 1e3 * front_radii(amounts, full, self.painter.size), strict=True)
+            )
             page = about(str(text.get("scene", "")), self.painter, arrays["fibre"].shape)
             self._log(self.paths.page("about"), rr.TextDocument(page, media_type="text/markdown"), static=True)
             self._log_scale()
 
     def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
         """Show a frame, now or later. Raises BadMessage."""
+        if self._fronts is not None:
+            layout.log_values(self.recording, self.paths, "front", self._fronts(payload))
         early = t < self._last + self.every * (1.0 - 1e-9)
         if early or (self.live and time.monotonic() < self._drawn + LIVE_SECONDS):
             self._waiting = frame, t, payload
@@ -172,6 +184,15 @@ class DyedCloth:
 
     def _log(self, path: str, *what: Any, static: bool = False) -> None:
         self.recording.log(path, *what, static=static, strict=True)
+
+
+def front_radii(payload: bytes, full: float, size: float) -> Float:
+    """Return for each dye of a frame's message the radius (dyes,) [m] of a disc as large as the cells that it has
+    reached, in cloth with cells of `size` [m] that can hold `full`: of one drop, how far its front is from its middle.
+    """
+    arrays, _ = decode_arrays(payload)
+    reached = ((arrays["phi"] + arrays["fixed"]).max(axis=1) >= REACHED * full).sum(axis=(1, 2))
+    return np.asarray(size * np.sqrt(reached / np.pi))
 
 
 def viewer_painter(loaded: Loaded) -> DyePainter:

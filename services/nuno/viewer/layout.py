@@ -210,7 +210,8 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, play:
     """
     amounts = [curves(f"{name} [full cells]", f"dye/{name}", legend=True, duration=duration) for name in dyes]
     time = curves("Wall time to compute a frame [ms]", "time", legend=bool(runs), duration=duration)
-    plots = [*amounts, time] if len(dyes) < MOST_ROWS else [rrb.Tabs(*amounts, name="Amounts"), time]
+    front = curves("Radius of a disc as large as the dyed area [mm]", "front", legend=True, duration=duration)
+    plots = [*amounts, front, time] if len(dyes) < MOST_ROWS else [rrb.Tabs(*amounts, name="Amounts"), front, time]
     pictures = [
         rrb.Spatial2DView(
             name=run or "Cloth",
