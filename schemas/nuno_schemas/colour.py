@@ -12,12 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from nuno_schemas.errors import nearest
 
-CONTROL = (
-    "#440154", "#482475", "#414487", "#355f8d", "#2a788e",
-    "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725",
-)  # fmt: skip
-"""Equally spaced points of viridis (Smith and van der Walt, 2015, CC0): perceptually uniform,
-readable in grey and with the common colour-vision deficiencies."""
+CONTROL = ("#f6f1e6", "#fdcc91", "#fca55d", "#f67949", "#e64f35", "#cb2527", "#a50026")
+"""Equally spaced points of the colour map: the way of ColorBrewer's OrRd, in equal steps of lightness. Small values are
+pale: shading, and with it folds, is seen there, which on viridis' dark end it is not.
+"""
 
 MISSING = "#9a9a9a"
 """Colour of a value that is not a number."""
@@ -105,10 +103,10 @@ def parse_hex(text: str) -> NDArray[np.float64]:
 
 
 def colours(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
-    """Map n values to linear light (n, 3): `low` is the map's dark end, `high` its bright end.
+    """Map n values to linear light (n, 3): `low` is the map's pale end, `high` its dark end.
 
-    Values outside are clipped; with low = high everything is dark; NaN is grey. The control
-    points are interpolated in sRGB, in which viridis is smooth and nearly uniform.
+    Values outside are clipped; with low = high everything is pale; NaN is grey. The control points are interpolated in
+    sRGB.
     """
     value = np.asarray(values, np.float64).reshape(-1)
     span = high - low

@@ -9,14 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_schemas.colour import MISSING, parse_hex, to_srgb
+from nuno_schemas.colour import CONTROL, MISSING, parse_hex, to_srgb
 from nuno_schemas.fabric import Float, Int
 
-PALE = ("#f6f1e6", "#fdd49e", "#fdae61", "#f46d43", "#d73027", "#a50026")
 DIVERGING = ("#2166ac", "#67a9cf", "#d1e5f0", "#f6f1e6", "#fddbc7", "#ef8a62", "#b2182b")
-"""Equally spaced colours of values from 0, and of those of both signs, after ColorBrewer's OrRd and RdBu. Small values
-are pale: shading, and with it folds, is seen there, which on viridis' dark end it is not.
-"""
+"""Equally spaced colours of values of both signs, after ColorBrewer's RdBu."""
 SHARE = 99.0
 """A scale ends at this percentile of a frame's values [%]: the largest values are those of single points, such as pins,
 and grow without limit as a mesh is refined.
@@ -59,7 +56,7 @@ class Scale:
 
     def __init__(self, quantity: Quantity) -> None:
         self.quantity, self.end = quantity, quantity.least
-        stops = np.array([list(bytes.fromhex(c[1:])) for c in (DIVERGING if quantity.signed else PALE)], np.float64)
+        stops = np.array([list(bytes.fromhex(c[1:])) for c in (DIVERGING if quantity.signed else CONTROL)], np.float64)
         knots = np.linspace(0.0, 1.0, len(stops))
         table = np.stack([np.interp(np.linspace(0.0, 1.0, 256), knots, stops[:, i]) for i in range(3)], axis=1)
         self.table = np.round(table).astype(np.uint8)

@@ -1,6 +1,5 @@
-// Equally spaced points of viridis, as nuno_schemas.colour has them.
-const CONTROL = [
-  "#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"];
+// Equally spaced points of the colour map, as nuno_schemas.colour has them.
+const CONTROL = ["#f6f1e6", "#fdcc91", "#fca55d", "#f67949", "#e64f35", "#cb2527", "#a50026"];
 const MISSING = [0.604, 0.604, 0.604], STEPS = 256;
 /** Ends of the scale of stretch, logarithmic: those of pictures and of the viewer. */
 export const STRETCH = [0.001, 1];
