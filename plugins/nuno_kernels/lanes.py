@@ -5,7 +5,8 @@ space.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import wraps
 from typing import Any, ClassVar
 
 from llvmlite import ir
@@ -30,6 +31,7 @@ WIDTH = 8
 
 LANES = ir.VectorType(ir.DoubleType(), WIDTH)
 _I32 = ir.IntType(32)
+ZERO = ir.Constant(LANES, [0.0] * WIDTH)
 
 Lanes = Any
 """eight float64 lanes as one value in compiled code; Python itself has none"""
@@ -86,16 +88,50 @@ for _op, _method in (
     _define(_op, _method)
 
 
-def instruction(function: Callable[..., Any]) -> Any:
-    """Make a function that compiled code calls without the leading typing context."""
-    return intrinsic(function)
+PLANE, INDICES = types.Array(types.float64, 2, "C"), types.Array(types.int32, 2, "C")
 
 
-def _address(context: Any, builder: Any, kind: Any, array: Any, row: Any, column: Any) -> Any:
-    """Return a pointer to array[row, column] of a C-contiguous 2-D array."""
-    view = context.make_array(kind)(context, builder, array)
+def instruction(result: Any, *kinds: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Make emit(builder, *values) a function that compiled code calls with values of these types, and that returns a
+    `result`. Of arrays, which are C-contiguous, it is given views.
+    """
+
+    def accepts(kind: Any, given: Any) -> bool:
+        if not isinstance(kind, types.Array):
+            return kind != vector or given == vector
+        wanted = kind.ndim, kind.layout, kind.dtype
+        return isinstance(given, types.Array) and (given.ndim, given.layout, given.dtype) == wanted
+
+    def make(emit: Callable[..., Any]) -> Any:
+        @wraps(emit)
+        def typed(typing: Any, *given: Any) -> Any:
+            if not all(map(accepts, kinds, given)):
+                return None
+            pairs = zip(kinds, given, strict=True)
+            return result(*(one if isinstance(kind, types.Array) else kind for kind, one in pairs)), build
+
+        def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            views = [
+                context.make_array(kind)(context, builder, value) if isinstance(kind, types.Array) else value
+                for kind, value in zip(sig.args, args, strict=True)
+            ]
+            found = emit(builder, *views)
+            return context.get_dummy_value() if result == types.void else found
+
+        return intrinsic(typed)
+
+    return make
+
+
+def _address(builder: Any, view: Any, row: Any, column: Any) -> Any:
+    """Return a pointer to [row, column] of a view of an array."""
     columns = builder.extract_value(view.shape, 1)
     return builder.gep(view.data, [builder.add(builder.mul(row, columns), column)])
+
+
+def _lanes_at(builder: Any, view: Any, row: Any, column: Any) -> Any:
+    """Return a pointer to eight values from [row, column] of a view on."""
+    return builder.bitcast(_address(builder, view, row, column), LANES.as_pointer())
 
 
 def _mask(builder: Any, count: Any) -> Any:
@@ -104,151 +140,86 @@ def _mask(builder: Any, count: Any) -> Any:
     return builder.icmp_signed("<", ir.Constant(index, list(range(WIDTH))), spread(builder, count, index))
 
 
-def _plane(array: Any) -> bool:
-    return isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C" and array.dtype == types.float64
+def _call(builder: Any, name: str, result: Any, *values: Any) -> Any:
+    """Call one of LLVM's functions."""
+    kind = ir.FunctionType(result, [value.type for value in values])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), values)
 
 
-@instruction
-def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
+@instruction(vector, PLANE, types.int64, types.int64)
+def load(builder: Any, array: Any, row: Any, column: Any) -> Any:
     """Return eight values from array[row, column] on."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = _address(context, builder, sig.args[0], *args)
-        return builder.load(builder.bitcast(pointer, LANES.as_pointer()), align=8)
-
-    return vector(array, types.int64, types.int64), build
+    return builder.load(_lanes_at(builder, array, row, column), align=8)
 
 
-@instruction
-def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
+@instruction(types.void, PLANE, types.int64, types.int64, vector)
+def store(builder: Any, array: Any, row: Any, column: Any, value: Any) -> None:
     """Write eight values to array[row, column] and on."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = _address(context, builder, sig.args[0], *args[:3])
-        builder.store(args[3], builder.bitcast(pointer, LANES.as_pointer()), align=8)
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64, types.int64, vector), build
+    builder.store(value, _lanes_at(builder, array, row, column), align=8)
 
 
-@instruction
-def load_first(typing: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
+@instruction(vector, PLANE, types.int64, types.int64, types.int64)
+def load_first(builder: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
     """Return the first `count` of eight values, zeros in the other lanes; reads nothing else."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), LANES.as_pointer())
-        mask = _mask(builder, args[3])
-        kind = ir.FunctionType(LANES, [pointer.type, _I32, mask.type, LANES])
-        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.load.v8f64.p0")
-        return builder.call(function, [pointer, ir.Constant(_I32, 8), mask, ir.Constant(LANES, [0.0] * WIDTH)])
-
-    return vector(array, types.int64, types.int64, types.int64), build
+    pointer, mask = _lanes_at(builder, array, row, column), _mask(builder, count)
+    return _call(builder, "llvm.masked.load.v8f64.p0", LANES, pointer, ir.Constant(_I32, 8), mask, ZERO)
 
 
-@instruction
-def store_first(typing: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> Any:
+@instruction(types.void, PLANE, types.int64, types.int64, types.int64, vector)
+def store_first(builder: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> None:
     """Write the first `count` of eight values and nothing else."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pointer = builder.bitcast(_address(context, builder, sig.args[0], *args[:3]), LANES.as_pointer())
-        mask = _mask(builder, args[3])
-        kind = ir.FunctionType(ir.VoidType(), [LANES, pointer.type, _I32, mask.type])
-        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.store.v8f64.p0")
-        builder.call(function, [args[4], pointer, ir.Constant(_I32, 8), mask])
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64, types.int64, types.int64, vector), build
+    pointer, mask = _lanes_at(builder, array, row, column), _mask(builder, count)
+    _call(builder, "llvm.masked.store.v8f64.p0", ir.VoidType(), value, pointer, ir.Constant(_I32, 8), mask)
 
 
-@instruction
-def gather(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Any:
+def _places(builder: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Iterator[Any]:
+    """Yield pointers to array[row, index[which, start + lane]] for eight lanes."""
+    base = _address(builder, array, row, ir.Constant(ir.IntType(64), 0))
+    places = _address(builder, index, which, start)
+    for lane in range(WIDTH):
+        place = builder.load(builder.gep(places, [ir.Constant(ir.IntType(64), lane)]))
+        yield builder.gep(base, [builder.sext(place, ir.IntType(64))])
+
+
+@instruction(vector, PLANE, types.int64, INDICES, types.int64, types.int64)
+def gather(builder: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Any:
     """Return array[row, index[which, start + lane]] for eight lanes; index is (w, m) int32."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        base = _address(context, builder, sig.args[0], args[0], args[1], ir.Constant(ir.IntType(64), 0))
-        places = _address(context, builder, sig.args[2], args[2], args[3], args[4])
-        value = ir.Constant(LANES, ir.Undefined)
-        for lane in range(WIDTH):
-            place = builder.load(builder.gep(places, [ir.Constant(ir.IntType(64), lane)]))
-            item = builder.load(builder.gep(base, [builder.sext(place, ir.IntType(64))]))
-            value = builder.insert_element(value, item, ir.Constant(_I32, lane))
-        return value
-
-    return vector(array, types.int64, index, types.int64, types.int64), build
+    value = ir.Constant(LANES, ir.Undefined)
+    for lane, pointer in enumerate(_places(builder, array, row, index, which, start)):
+        value = builder.insert_element(value, builder.load(pointer), ir.Constant(_I32, lane))
+    return value
 
 
-@instruction
-def add_at(typing: Any, array: Any, row: Any, index: Any, which: Any, start: Any, value: Any) -> Any:
+@instruction(types.void, PLANE, types.int64, INDICES, types.int64, types.int64, vector)
+def add_at(builder: Any, array: Any, row: Any, index: Any, which: Any, start: Any, value: Any) -> None:
     """Add array[row, index[which, start + lane]] += value[lane], lane after lane."""
-    if not _plane(array):
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        base = _address(context, builder, sig.args[0], args[0], args[1], ir.Constant(ir.IntType(64), 0))
-        places = _address(context, builder, sig.args[2], args[2], args[3], args[4])
-        for lane in range(WIDTH):
-            place = builder.load(builder.gep(places, [ir.Constant(ir.IntType(64), lane)]))
-            pointer = builder.gep(base, [builder.sext(place, ir.IntType(64))])
-            item = builder.extract_element(args[5], ir.Constant(_I32, lane))
-            builder.store(builder.fadd(builder.load(pointer), item), pointer)
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64, index, types.int64, types.int64, vector), build
+    for lane, pointer in enumerate(_places(builder, array, row, index, which, start)):
+        item = builder.extract_element(value, ir.Constant(_I32, lane))
+        builder.store(builder.fadd(builder.load(pointer), item), pointer)
 
 
-@instruction
-def splat(typing: Any, value: Any) -> Any:
+@instruction(vector, types.float64)
+def splat(builder: Any, value: Any) -> Any:
     """Return the same number in all lanes."""
-    return vector(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
+    return spread(builder, value)
 
 
-@instruction
-def root(typing: Any, value: Any) -> Any:
+@instruction(vector, vector)
+def root(builder: Any, value: Any) -> Any:
     """Return the square root of every lane."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LANES, [LANES]), "llvm.sqrt.v8f64")
-        return builder.call(function, args)
-
-    return vector(vector), build
+    return _call(builder, "llvm.sqrt.v8f64", LANES, value)
 
 
-@instruction
-def magnitude(typing: Any, value: Any) -> Any:
+@instruction(vector, vector)
+def magnitude(builder: Any, value: Any) -> Any:
     """Return the absolute value of every lane."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LANES, [LANES]), "llvm.fabs.v8f64")
-        return builder.call(function, args)
-
-    return vector(vector), build
+    return _call(builder, "llvm.fabs.v8f64", LANES, value)
 
 
-@instruction
-def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+@instruction(vector, vector, vector, vector)
+def fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c of every lane, rounded once: the same on every machine."""
-    if not a == b == c == vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = ir.FunctionType(LANES, [LANES, LANES, LANES])
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.fma.v8f64"), args)
-
-    return vector(vector, vector, vector), build
+    return _call(builder, "llvm.fma.v8f64", LANES, a, b, c)
 
 
 @kernel
@@ -271,129 +242,74 @@ def write(a: Float, row: int, column: int, count: int, value: Lanes) -> None:
 # Choices between vectors of eight lanes: comparisons, selection, extremes.
 
 
-@instruction
-def alternate(typing: Any, even: Any, odd: Any, first: Any) -> Any:
+@instruction(vector, vector, vector, types.int64)
+def alternate(builder: Any, even: Any, odd: Any, first: Any) -> Any:
     """Return `even` in the lanes whose number `first` + lane is even, `odd` in the others."""
-    if even != vector or odd != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        index = ir.VectorType(ir.IntType(64), WIDTH)
-        number = builder.add(spread(builder, args[2], index), ir.Constant(index, list(range(WIDTH))))
-        parity = builder.and_(number, ir.Constant(index, [1] * WIDTH))
-        return builder.select(builder.icmp_signed("==", parity, ir.Constant(index, [0] * WIDTH)), args[0], args[1])
-
-    return vector(vector, vector, types.int64), build
+    index = ir.VectorType(ir.IntType(64), WIDTH)
+    number = builder.add(spread(builder, first, index), ir.Constant(index, list(range(WIDTH))))
+    parity = builder.and_(number, ir.Constant(index, [1] * WIDTH))
+    return builder.select(builder.icmp_signed("==", parity, ir.Constant(index, [0] * WIDTH)), even, odd)
 
 
-@instruction
-def lower(typing: Any, a: Any, b: Any) -> Any:
+@instruction(vector, vector, vector)
+def lower(builder: Any, a: Any, b: Any) -> Any:
     """Return the lesser of `a` and `b` in every lane; `b` if either is NaN."""
-    return _extreme("<", a, b)
+    return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
-@instruction
-def higher(typing: Any, a: Any, b: Any) -> Any:
+@instruction(vector, vector, vector)
+def higher(builder: Any, a: Any, b: Any) -> Any:
     """Return the greater of `a` and `b` in every lane; `b` if either is NaN."""
-    return _extreme(">", a, b)
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-def _extreme(order: str, a: Any, b: Any) -> Any:
-    if a != vector or b != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.select(builder.fcmp_ordered(order, *args), *args)
-
-    return vector(vector, vector), build
-
-
-@instruction
-def lane(typing: Any, value: Any, which: Any) -> Any:
+@instruction(types.float64, vector, types.int64)
+def lane(builder: Any, value: Any, which: Any) -> Any:
     """Return one of the eight numbers."""
-    if value != vector:
-        return None
-    return types.float64(vector, types.int64), lambda context, builder, sig, args: builder.extract_element(*args)
+    return builder.extract_element(value, which)
 
 
-@instruction
-def any_below(typing: Any, value: Any, limit: Any) -> Any:
+@instruction(types.boolean, vector, types.float64)
+def any_below(builder: Any, value: Any, limit: Any) -> Any:
     """Whether any lane is less than the number `limit`; NaN is not."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        below = builder.fcmp_ordered("<", args[0], spread(builder, args[1]))
-        bits = builder.bitcast(below, ir.IntType(WIDTH))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(WIDTH), 0))
-
-    return types.boolean(vector, types.float64), build
+    below = builder.fcmp_ordered("<", value, spread(builder, limit))
+    bits = builder.bitcast(below, ir.IntType(WIDTH))
+    return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(WIDTH), 0))
 
 
-@instruction
-def where_not_zero(typing: Any, test: Any, value: Any) -> Any:
+@instruction(vector, vector, vector)
+def where_not_zero(builder: Any, test: Any, value: Any) -> Any:
     """Return `value` where `test` is not 0, NaN included, and 0 elsewhere."""
-    if test != vector or value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        zero = ir.Constant(LANES, [0.0] * WIDTH)
-        return builder.select(builder.fcmp_unordered("!=", args[0], zero), args[1], zero)
-
-    return vector(vector, vector), build
+    return builder.select(builder.fcmp_unordered("!=", test, ZERO), value, ZERO)
 
 
-@instruction
-def where_greater(typing: Any, test: Any, limit: Any, value: Any) -> Any:
+@instruction(vector, vector, vector, vector)
+def where_greater(builder: Any, test: Any, limit: Any, value: Any) -> Any:
     """Return 0 where `test` <= `limit`, `value` elsewhere (also where either is NaN)."""
-    if test != vector or limit != vector or value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        zero = ir.Constant(LANES, [0.0] * WIDTH)
-        return builder.select(builder.fcmp_unordered(">", args[0], args[1]), args[2], zero)
-
-    return vector(vector, vector, vector), build
+    return builder.select(builder.fcmp_unordered(">", test, limit), value, ZERO)
 
 
-@instruction
-def where_not_negative(typing: Any, test: Any, value: Any, other: Any) -> Any:
+@instruction(vector, vector, vector, vector)
+def where_not_negative(builder: Any, test: Any, value: Any, other: Any) -> Any:
     """Return `value` where `test` >= 0, `other` elsewhere (also where `test` is NaN)."""
-    if not test == value == other == vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        zero = ir.Constant(LANES, [0.0] * WIDTH)
-        return builder.select(builder.fcmp_ordered(">=", args[0], zero), args[1], args[2])
-
-    return vector(vector, vector, vector), build
+    return builder.select(builder.fcmp_ordered(">=", test, ZERO), value, other)
 
 
 EVERY = (1 << WIDTH) - 1
 """bits of all lanes"""
 
 
-@instruction
-def lanes_up_to(typing: Any, value: Any, limit: Any) -> Any:
+@instruction(types.int64, vector, types.float64)
+def lanes_up_to(builder: Any, value: Any, limit: Any) -> Any:
     """Return the bits of lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        below = builder.fcmp_ordered("<=", args[0], spread(builder, args[1]))
-        return builder.zext(builder.bitcast(below, ir.IntType(WIDTH)), ir.IntType(64))
-
-    return types.int64(vector, types.float64), build
+    below = builder.fcmp_ordered("<=", value, spread(builder, limit))
+    return builder.zext(builder.bitcast(below, ir.IntType(WIDTH)), ir.IntType(64))
 
 
-@instruction
-def first_lane(typing: Any, bits: Any) -> Any:
+@instruction(types.int64, types.int64)
+def first_lane(builder: Any, bits: Any) -> Any:
     """Return the number of the lowest bit that is set, of bits that are not 0."""
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.int64), build
+    return builder.cttz(bits, ir.Constant(ir.IntType(1), 1))
 
 
 # Vectors in space, eight side by side: x, y and z of each are lanes. Lanes may also be single numbers.

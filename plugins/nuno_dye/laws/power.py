@@ -43,45 +43,27 @@ def _constant(number: int) -> Any:
     return ir.Constant(_BITS, [number] * WIDTH)
 
 
-@instruction
-def exponent(typing: Any, value: Any) -> Any:
+@instruction(vector, vector)
+def exponent(builder: Any, value: Any) -> Any:
     """Return the whole number e with value / 2^e in [sqrt(1/2), sqrt(2)), for positive normal numbers."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.sub(builder.bitcast(args[0], _BITS), _constant(_HALF_ROOT_BITS))
-        whole = builder.add(builder.ashr(bits, _constant(52)), _constant(_WHOLE_BITS))
-        return builder.fsub(builder.bitcast(whole, LANES), ir.Constant(LANES, [_WHOLE] * WIDTH))
-
-    return vector(vector), build
+    bits = builder.sub(builder.bitcast(value, _BITS), _constant(_HALF_ROOT_BITS))
+    whole = builder.add(builder.ashr(bits, _constant(52)), _constant(_WHOLE_BITS))
+    return builder.fsub(builder.bitcast(whole, LANES), ir.Constant(LANES, [_WHOLE] * WIDTH))
 
 
-@instruction
-def nearest_whole(typing: Any, value: Any) -> Any:
+@instruction(vector, vector)
+def nearest_whole(builder: Any, value: Any) -> Any:
     """Return every lane, below 2^51, rounded to a whole number."""
-    if value != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        whole = spread(builder, ir.Constant(ir.DoubleType(), _WHOLE))
-        return builder.fsub(builder.fadd(args[0], whole), whole)
-
-    return vector(vector), build
+    whole = spread(builder, ir.Constant(ir.DoubleType(), _WHOLE))
+    return builder.fsub(builder.fadd(value, whole), whole)
 
 
-@instruction
-def shift_exponent(typing: Any, value: Any, by: Any) -> Any:
+@instruction(vector, vector, vector)
+def shift_exponent(builder: Any, value: Any, by: Any) -> Any:
     """Return value 2^by for whole numbers `by`, exact if the result is normal."""
-    if value != vector or by != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        whole = builder.fadd(args[1], spread(builder, ir.Constant(ir.DoubleType(), _WHOLE)))
-        shift = builder.shl(builder.bitcast(whole, _BITS), _constant(52))
-        return builder.bitcast(builder.add(builder.bitcast(args[0], _BITS), shift), LANES)
-
-    return vector(vector, vector), build
+    whole = builder.fadd(by, spread(builder, ir.Constant(ir.DoubleType(), _WHOLE)))
+    shift = builder.shl(builder.bitcast(whole, _BITS), _constant(52))
+    return builder.bitcast(builder.add(builder.bitcast(value, _BITS), shift), LANES)
 
 
 @kernel

@@ -35,17 +35,11 @@ LEFT = WIDTH
 """Columns before the first cell, without weight, which vectors may read to the left."""
 
 
-@instruction
-def slide(typing: Any, before: Any, here: Any) -> Any:
+@instruction(vector, vector, vector)
+def slide(builder: Any, before: Any, here: Any) -> Any:
     """Return the eight lanes that begin one before `here`: the last of `before`, then all of `here` but its last."""
-    if before != vector or here != vector:
-        return None
-
-    def build(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), list(range(WIDTH - 1, 2 * WIDTH - 1)))
-        return builder.shuffle_vector(args[0], args[1], mask)
-
-    return vector(vector, vector), build
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), list(range(WIDTH - 1, 2 * WIDTH - 1)))
+    return builder.shuffle_vector(before, here, mask)
 
 
 class Weights(NamedTuple):
