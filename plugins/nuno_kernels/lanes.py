@@ -98,7 +98,7 @@ def instruction(result: Any, *kinds: Any) -> Callable[[Callable[..., Any]], Any]
 
     def accepts(kind: Any, given: Any) -> bool:
         if not isinstance(kind, types.Array):
-            return kind != vector or given == vector
+            return bool(kind != vector or given == vector)
         wanted = kind.ndim, kind.layout, kind.dtype
         return isinstance(given, types.Array) and (given.ndim, given.layout, given.dtype) == wanted
 

@@ -265,12 +265,14 @@ class BodyShape:
     @property
     def shown(self) -> BodyShape:
         """The body as it is shown and recorded."""
-        if (drawn := self.drawn) is None:
-            return self
+        return self if self.drawn is None else BodyShape.of_skin(self.frames, self.drawn)
+
+    @classmethod
+    def of_skin(cls, frames: tuple[str, ...], drawn: DrawnSkin) -> BodyShape:
+        """Return a body of one skin on all its frames."""
         x, kind, owner = drawn.vertices, np.array([SKIN], np.int8), np.zeros(len(drawn.faces), np.int32)
         low, high, none = x.min(axis=0)[None], x.max(axis=0)[None], np.zeros(1)
-        frame = np.zeros(1, np.int32)
-        return BodyShape(self.frames, kind, frame, low, high, none, x, drawn.faces, owner, skins=(drawn.skin,))
+        return cls(frames, kind, np.zeros(1, np.int32), low, high, none, x, drawn.faces, owner, skins=(drawn.skin,))
 
 
 class Motion(Plugin, Protocol):

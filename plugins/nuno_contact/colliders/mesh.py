@@ -8,14 +8,14 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from nuno_contact.body_shapes.leg import LANDMARKS, leg_mesh
 from nuno_contact.body_shapes.person import GIRTHS, HEIGHTS, person_mesh, torso_mesh
-from nuno_contact.colliders.shapes import ORIGIN, OnJoint, find_frame
+from nuno_contact.colliders.shapes import ORIGIN, OnJoint, one_primitive
 from nuno_contact.motions.rotations import from_axis_angle
 from nuno_contact.quantities import Angle, Direction, Point, Reach, Size
 from nuno_geometry.check import crossing_notes
@@ -317,20 +317,18 @@ class MeshCollider:
 
         return ask
 
-    def heights(self, config: BaseModel) -> dict[str, float]:
+    def heights(self, config: MeshConfig) -> dict[str, float]:
         """Return the heights in the joint's frame [m] of named places, of a built-in shape as it stands."""
-        c = cast(MeshConfig, config)
-        upright = c.rotate is None or c.rotate.axis[0] == c.rotate.axis[2] == 0.0
-        return {name: c.centre[1] + c.scale * y for name, y in c.heights().items()} if upright else {}
+        upright = config.rotate is None or config.rotate.axis[0] == config.rotate.axis[2] == 0.0
+        return {name: config.centre[1] + config.scale * y for name, y in config.heights().items()} if upright else {}
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+    def build(self, config: MeshConfig, mover: Mover | None, files: Files) -> BodyShape:
         """Build the body. Raises BadInput for a mesh that is not closed, or cannot be read; one that passes through
         itself is noted, and refused by contact that must know its inside.
         """
-        c = cast(MeshConfig, config)
         mended: list[str] = []
-        x, faces = find_mesh(c, files, partial(read_closed, notes=mended))
-        return replace(mesh_shape(c, mover, x, faces, MESH), notes=(*mended, *crossing_notes(x, faces)))
+        x, faces = find_mesh(config, files, partial(read_closed, notes=mended))
+        return replace(mesh_shape(config, mover, x, faces, MESH), notes=(*mended, *crossing_notes(x, faces)))
 
 
 def find_mesh(
@@ -346,18 +344,8 @@ def find_mesh(
 
 def mesh_shape(config: OnJoint, mover: Mover | None, x: Float, faces: Int, kind: int) -> BodyShape:
     """Return a body of one primitive that has a mesh. Raises BadInput for a joint that the motion does not have."""
-    frames, frame = find_frame(config.joint, mover)
-    return BodyShape(
-        frames=frames,
-        kind=np.array([kind], np.int8),
-        frame=np.array([frame], np.int32),
-        a=x.min(axis=0)[None],
-        b=x.max(axis=0)[None],
-        radius=np.zeros(1),
-        vertices=x,
-        faces=faces,
-        owner=np.zeros(len(faces), np.int32),
-    )
+    bare = one_primitive(config, mover, kind, x.min(axis=0), x.max(axis=0), 0.0)
+    return replace(bare, vertices=x, faces=faces, owner=np.zeros(len(faces), np.int32))
 
 
 def turn_of(rotation: Rotation | None) -> Float:

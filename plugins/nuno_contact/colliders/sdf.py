@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -116,7 +116,7 @@ class SdfCollider:
     name: ClassVar[str] = "sdf"
     Config: ClassVar[type[BaseModel]] = SdfConfig
 
-    def heights(self, config: BaseModel) -> dict[str, float]:
+    def heights(self, config: SdfConfig) -> dict[str, float]:
         """Return the heights of the mesh that the field is made of: see MeshCollider."""
         return MeshCollider().heights(config)
 
@@ -128,19 +128,18 @@ class SdfCollider:
         """Return a function (points (n, 3)) -> (n, 4) distance [m] and gradient, for callers other than contact."""
         return partial(sample_field, field)
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+    def build(self, config: SdfConfig, mover: Mover | None, files: Files) -> BodyShape:
         """Build the body. Raises BadInput for a mesh that cannot be read, is inside out or encloses nothing, and for a
         tolerance that is larger than the body, or takes too much memory.
         """
-        c = cast(SdfConfig, config)
         mended: list[str] = []
-        x, faces = find_mesh(c, files, partial(read_mesh, notes=mended))
-        check_tolerance(x, c.tolerance)
+        x, faces = find_mesh(config, files, partial(read_mesh, notes=mended))
+        check_tolerance(x, config.tolerance)
         fault = find_fault(x, faces)
-        field = cached_field(x, faces, c.tolerance, c.band, fault is None, LARGEST)
+        field = cached_field(x, faces, config.tolerance, config.band, fault is None, LARGEST)
         check_inside(field, x, faces)
         notes = (*mended, *(() if fault is None else (fault,)), *thin_parts(field, x, faces))
-        return replace(mesh_shape(c, mover, x, faces, FIELD), fields=(field,), notes=notes)
+        return replace(mesh_shape(config, mover, x, faces, FIELD), fields=(field,), notes=notes)
 
 
 def check_tolerance(x: Float, tolerance: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -86,9 +86,8 @@ class Capsule:
     name: ClassVar[str] = "capsule"
     Config: ClassVar[type[BaseModel]] = CapsuleConfig
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        c = cast(CapsuleConfig, config)
-        return one_primitive(c, mover, CAPSULE, c.a, c.b, c.radius)
+    def build(self, config: CapsuleConfig, mover: Mover | None, files: Files) -> BodyShape:
+        return one_primitive(config, mover, CAPSULE, config.a, config.b, config.radius)
 
 
 class Sphere:
@@ -97,9 +96,8 @@ class Sphere:
     name: ClassVar[str] = "sphere"
     Config: ClassVar[type[BaseModel]] = SphereConfig
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        c = cast(SphereConfig, config)
-        return one_primitive(c, mover, CAPSULE, c.centre, c.centre, c.radius)
+    def build(self, config: SphereConfig, mover: Mover | None, files: Files) -> BodyShape:
+        return one_primitive(config, mover, CAPSULE, config.centre, config.centre, config.radius)
 
 
 class Plane:
@@ -108,13 +106,12 @@ class Plane:
     name: ClassVar[str] = "plane"
     Config: ClassVar[type[BaseModel]] = PlaneConfig
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        c = cast(PlaneConfig, config)
-        normal: Float = np.array(c.normal, np.float64)
+    def build(self, config: PlaneConfig, mover: Mover | None, files: Files) -> BodyShape:
+        normal: Float = np.array(config.normal, np.float64)
         length = float(norm(normal))
         if length == 0.0:
-            raise BadInput("a plane needs a normal", field="normal", value=c.normal, limit="not all zero")
-        return one_primitive(c, mover, PLANE, c.point, normal / length, 0.0)
+            raise BadInput("a plane needs a normal", field="normal", value=config.normal, limit="not all zero")
+        return one_primitive(config, mover, PLANE, config.point, normal / length, 0.0)
 
 
 class Box:
@@ -123,6 +120,5 @@ class Box:
     name: ClassVar[str] = "box"
     Config: ClassVar[type[BaseModel]] = BoxConfig
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
-        c = cast(BoxConfig, config)
-        return one_primitive(c, mover, BOX, c.centre, [0.5 * size for size in c.size], 0.0)
+    def build(self, config: BoxConfig, mover: Mover | None, files: Files) -> BodyShape:
+        return one_primitive(config, mover, BOX, config.centre, [0.5 * size for size in config.size], 0.0)

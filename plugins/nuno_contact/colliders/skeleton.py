@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, cast
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -198,23 +198,22 @@ class Skeleton:
     name: ClassVar[str] = "skeleton"
     Config: ClassVar[type[BaseModel]] = SkeletonConfig
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+    def build(self, config: SkeletonConfig, mover: Mover | None, files: Files) -> BodyShape:
         """Raises BadInput without a motion that has a skeleton, and for names that it does not have."""
-        c = cast(SkeletonConfig, config)
         if mover is None or len(mover.joints) < 2:
             raise BadInput("a skeleton needs a motion with joints", field="motion", remedy="add a motion: hula or bvh")
-        check_names("radii", c.radii, mover)
-        check_names("bones", c.bones or (), mover)
-        height = c.height or find_height(mover)
-        girdle = c.radii.get("pelvis", height * default_radius("pelvis", 0.0, 1.0))
+        check_names("radii", config.radii, mover)
+        check_names("bones", config.bones or (), mover)
+        height = config.height or find_height(mover)
+        girdle = config.radii.get("pelvis", height * default_radius("pelvis", 0.0, 1.0))
         half_width = max(0.0, height * PELVIS_HALF_WIDTH - float(np.max(girdle)))
         frames, pieces = [], []
-        for bone in find_bones(mover, c.radii, half_width):
+        for bone in find_bones(mover, config.radii, half_width):
             joint = mover.joints[bone.frame]
-            if bone.part == "" or (c.bones is not None and not {joint, bone.part} & set(c.bones)):
+            if bone.part == "" or (config.bones is not None and not {joint, bone.part} & set(config.bones)):
                 continue
-            own = c.radii.get(joint, c.radii.get(bone.part))
-            found = cut(bone, choose_radii(bone, own, height, c.split))
+            own = config.radii.get(joint, config.radii.get(bone.part))
+            found = cut(bone, choose_radii(bone, own, height, config.split))
             pieces += found
             frames += [bone.frame] * len(found)
         if not pieces:
@@ -227,5 +226,5 @@ class Skeleton:
             a=a,
             b=b,
             radius=radius,
-            drawn=draw_person(mover, height, frame, a, b, radius) if c.drawn == "person" else None,
+            drawn=draw_person(mover, height, frame, a, b, radius) if config.drawn == "person" else None,
         )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -20,10 +20,10 @@ from nuno_contact.skinning.rig import Rig, fit_rig, read_rig, weights_of
 from nuno_contact.skinning.weights import find_weights
 from nuno_geometry.check import crossing_notes
 from nuno_geometry.mesh_files.mesh import read_closed
-from nuno_schemas.bodies import SKIN, Skin
+from nuno_schemas.bodies import Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.plugin import BodyShape, Files, Mover
+from nuno_schemas.plugin import BodyShape, DrawnSkin, Files, Mover
 
 # Lines in a body that carry its skin.
 
@@ -83,11 +83,10 @@ class SkinCollider:
         """Return a closest-point search in its mesh in place, for callers other than contact: see MeshCollider."""
         return MeshCollider().search(vertices, faces)
 
-    def build(self, config: BaseModel, mover: Mover | None, files: Files) -> BodyShape:
+    def build(self, config: SkinConfig, mover: Mover | None, files: Files) -> BodyShape:
         """Build the body. Raises BadInput without a motion that has a body's joints, and for a mesh that is not closed,
         cannot be read, or is not a person standing so; one that passes through itself is noted.
         """
-        c = cast(SkinConfig, config)
         if mover is None or len(mover.joints) < 2:
             raise BadInput(
                 "a skin needs a motion with joints", field="motion",
@@ -97,21 +96,22 @@ class SkinCollider:
             problem, remedy = "a skin is fitted to a motion that is known beforehand", "collider: {plugin: skeleton}"
             raise BadInput(problem, field="motion", value="topic", remedy=remedy)
         roles = find_roles(mover)
-        rig = _read_rig(c, files)
+        rig = _read_rig(config, files)
         mended: list[str] = []
         read = partial(read_closed, notes=mended)
-        x, faces = c.make(files, read if rig is None else partial(read, load=rig.surface))
-        x = np.ascontiguousarray(x + np.asarray(c.centre))
-        if rig is None or c.weights == "found":
+        x, faces = config.make(files, read if rig is None else partial(read, load=rig.surface))
+        centre = np.asarray(config.centre)
+        x = np.ascontiguousarray(x + centre)
+        if rig is None or config.weights == "found":
             figure = find_figure(x, faces)
             part, weight = find_weights(x, faces, *bones_of(figure, list(roles)))
         else:
-            points, place = (c.upright(c.scale * at) + np.asarray(c.centre) for at in (rig.points, rig.place))
+            points, place = (config.upright(config.scale * at) + centre for at in (rig.points, rig.place))
             rig = replace(rig, points=points, place=place)
             figure, roles, goes = fit_rig(rig, roles)
             part, weight = weights_of(rig, goes, x)
         parts = list(roles)
-        gait = fit_gait(mover, roles, figure, c.spread, c.stand, c.blend)
+        gait = fit_gait(mover, roles, figure, config.spread, config.stand, config.blend)
         feet = {number: part[:, 0] == number for number, name in enumerate(parts) if name.endswith("_foot")}
         for number, mine in feet.items():
             if not mine.any():
@@ -120,7 +120,8 @@ class SkinCollider:
         gait = replace(gait, lift=find_lift(gait, x, feet))
         joint, place = np.array(list(roles.values()), np.int32), gait.place[gait.follows]
         skin = Skin(np.ascontiguousarray(place), np.ascontiguousarray(joint[part]), weight)
-        return replace(skin_shape(mover, x, faces, skin), pose=gait.pose, notes=(*mended, *crossing_notes(x, faces)))
+        shape = BodyShape.of_skin(mover.joints, DrawnSkin(x, faces, skin))
+        return replace(shape, pose=gait.pose, notes=(*mended, *crossing_notes(x, faces)))
 
 
 def _read_rig(config: SkinConfig, files: Files) -> Rig | None:
@@ -133,19 +134,3 @@ def _read_rig(config: SkinConfig, files: Files) -> Rig | None:
         if config.weights == "found":
             return None
         raise
-
-
-def skin_shape(mover: Mover, x: Float, faces: Int, skin: Skin) -> BodyShape:
-    """Return a body of one skin on all joints of its motion."""
-    return BodyShape(
-        frames=mover.joints,
-        kind=np.array([SKIN], np.int8),
-        frame=np.zeros(1, np.int32),
-        a=x.min(axis=0)[None],
-        b=x.max(axis=0)[None],
-        radius=np.zeros(1),
-        vertices=x,
-        faces=faces,
-        owner=np.zeros(len(faces), np.int32),
-        skins=(skin,),
-    )

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple, cast
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -314,34 +314,34 @@ class BVH:
         facts["stands"] = f"along {'xyz'[axis]}, {tall:.4g} units high" + (f": {unit} each?" if unit else "")
         return facts | {"root": found.joints[0]}
 
-    def prepare(self, config: BaseModel, files: Files) -> Mover:
+    def prepare(self, config: BvhConfig, files: Files) -> Mover:
         """Read the motion. Raises BadInput for a file that cannot be read, a lying body, no size, and an empty part."""
-        c = cast(BvhConfig, config)
-        path = files.resolve(c.file)
+        path = files.resolve(config.file)
         found = read_bvh(path)
-        dt = 1.0 / c.frame_rate if c.frame_rate else found.dt
-        if not STEPS[0] <= dt <= (STEPS[1] if c.frame_rate else SLOWEST):
+        dt = 1.0 / config.frame_rate if config.frame_rate else found.dt
+        if not STEPS[0] <= dt <= (STEPS[1] if config.frame_rate else SLOWEST):
             limit, remedy = f"{STEPS[0]:g} to {SLOWEST:g} s", "give frame_rate"
             if dt > SLOWEST:
                 remedy = f"frame_rate: {dt:g} Hz if that is meant; if not, frame_rate: {1.0 / dt:.6g} Hz keeps it"
             raise BadInput("no time between two frames", str(path), field="Frame Time", value=dt, limit=limit,
                            remedy=remedy)  # fmt: skip
-        part = cut_frames(c, len(found.turns), dt, path)
-        up = "xyz".index(c.up or "y")
+        part = cut_frames(config, len(found.turns), dt, path)
+        up = "xyz".index(config.up or "y")
         height, along = find_stature(found, up)
-        if c.up is None and along != up:
+        if config.up is None and along != up:
             axis = "xyz"[along]
             remedy = ("up: z where z is the file's vertical axis, " if axis == "z" else "") + "up: y where it does lie"
             raise BadInput("the body lies", str(path), field="up", value=f"from the root the head is along {axis}",
                            limit="y points up unless the scene says otherwise", remedy=remedy)  # fmt: skip
-        if c.scale is None and "height" not in c.model_fields_set and not is_person(found.joints):
+        if config.scale is None and "height" not in config.model_fields_set and not is_person(found.joints):
             raise BadInput("no joints are named after a trunk and legs: the size is unknown", str(path), field="scale",
-                           remedy=f"height: {c.height:g} m if that is a person's; if not, {UNSCALED}")  # fmt: skip
-        if c.scale is None and not height > 0.0:
-            raise BadInput("the skeleton has no height", str(path), field="height", value=c.height, remedy=UNSCALED)
-        notes = _size_notes(c, height) if along == up and is_person(found.joints) else ()
-        upright = from_axis_angle(AXES[0], -0.5 * math.pi if c.up == "z" else 0.0)
-        scale = c.scale or c.height / height
+                           remedy=f"height: {config.height:g} m if that is a person's; if not, {UNSCALED}")  # fmt: skip
+        if config.scale is None and not height > 0.0:
+            problem, value = "the skeleton has no height", config.height
+            raise BadInput(problem, str(path), field="height", value=value, remedy=UNSCALED)
+        notes = _size_notes(config, height) if along == up and is_person(found.joints) else ()
+        upright = from_axis_angle(AXES[0], -0.5 * math.pi if config.up == "z" else 0.0)
+        scale = config.scale or config.height / height
         local = found.turns[part]
         local[:, 0] = multiply(upright, local[:, 0])
         places = scale * found.places[part]
@@ -350,12 +350,12 @@ class BVH:
         if not farthest <= FARTHEST:
             remedy = "check the file's numbers, or give a scale"
             raise BadInput("a body of no size", file=str(path), limit=f"{FARTHEST:g} m", remedy=remedy)
-        loop = c.end == "loop" and len(places) > 1
-        blend = min(c.blend, 0.25 * (len(places) - 1) * dt) if loop else 0.0
+        loop = config.end == "loop" and len(places) > 1
+        blend = min(config.blend, 0.25 * (len(places) - 1) * dt) if loop else 0.0
         motion = replace(found, offsets=scale * found.offsets, turns=local, places=places, dt=dt)
-        place_root(c, motion)
+        place_root(config, motion)
         way = (motion.sample(motion.duration - blend)[1][:1] - motion.places[0, :1]) * np.array([1.0, 0.0, 1.0])
-        clip = _Clip(motion, loop, blend, c.ramp, way)
+        clip = _Clip(motion, loop, blend, config.ramp, way)
         return Mover(found.joints, found.parents, motion.offsets, clip.pose, notes=notes)
 
 

@@ -6,7 +6,7 @@ import bisect
 import itertools
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -123,27 +123,25 @@ class Keyframes:
     name: ClassVar[str] = "keyframes"
     Config: ClassVar[type[BaseModel]] = KeyframesConfig
 
-    def prepare(self, config: BaseModel, files: Files) -> Mover:
+    def prepare(self, config: KeyframesConfig, files: Files) -> Mover:
         """Check the keys. Raises BadInput for keys that define no motion."""
-        c = cast(KeyframesConfig, config)
-        check_keys(c)
-        still = np.tile([1.0, 0.0, 0.0, 0.0], (len(c.times), 1))
-        turns = [read_rotation(values, c.form, f"rotations[{k}]") for k, values in enumerate(c.rotations or [])]
+        check_keys(config)
+        given, number = config.rotations or [], len(config.times)
+        turns = [read_rotation(values, config.form, f"rotations[{k}]") for k, values in enumerate(given)]
         keys = _Keys(
-            times=list(c.times),
-            position=np.array(c.positions, np.float64) if c.positions is not None else np.zeros((len(c.times), 3)),
-            rotation=np.array(turns) if turns else still,
-            ease=c.between == "ease",
-            loop=c.end == "loop",
+            times=list(config.times),
+            position=np.zeros((number, 3)) if config.positions is None else np.array(config.positions, np.float64),
+            rotation=np.array(turns) if turns else np.tile([1.0, 0.0, 0.0, 0.0], (number, 1)),
+            ease=config.between == "ease",
+            loop=config.end == "loop",
         )
         return Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), keys.pose)
 
-    def doubts(self, config: BaseModel, files: Files) -> list[str]:
+    def doubts(self, config: KeyframesConfig, files: Files) -> list[str]:
         """Say of the first key that is more than half a turn from the one before it that it is turned the other way,
         and of a loop that ends elsewhere than it begins that it jumps.
         """
-        c = cast(KeyframesConfig, config)
-        turns = [turn_between(c, k) for k in range(1, len(c.rotations or []))]
+        turns = [turn_between(config, k) for k in range(1, len(config.rotations or []))]
         far = [k for k, turn in enumerate(turns, 1) if math.pi * (1.0 + 1e-9) < turn <= TURN]
         texts = [
             f"rotations[{k}]: it is {math.degrees(turns[k - 1]):.4g} deg from the key before, and a body turns the "
@@ -151,8 +149,8 @@ class Keyframes:
             for k in far[:1]
         ]
         pose = self.prepare(config, files).pose
-        (turn, place), (turned, moved) = pose(float(c.times[0])), pose(float(c.times[-1]))
-        if c.end == "loop" and (abs(float((turn * turned).sum())) < 1.0 - 1e-9 or not np.allclose(place, moved)):
+        (turn, place), (turned, moved) = pose(float(config.times[0])), pose(float(config.times[-1]))
+        if config.end == "loop" and (abs(float((turn * turned).sum())) < 1.0 - 1e-9 or not np.allclose(place, moved)):
             away = f"{float(norm(moved - place)[0]):.3g} m away, or turned"
             texts.append(f"end: the loop jumps from its last key to its first, {away}: let it end as it begins")
         return texts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import ClassVar, Literal, cast
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, field_validator
@@ -74,30 +74,32 @@ class Topic:
     name: ClassVar[str] = "topic"
     Config: ClassVar[type[BaseModel]] = TopicConfig
 
-    def paced(self, config: BaseModel) -> bool:
+    def paced(self, config: TopicConfig) -> bool:
         """See nuno_schemas.plugin.Motion."""
-        return cast(TopicConfig, config).frames == "clock"
+        return config.frames == "clock"
 
-    def prepare(self, config: BaseModel, files: Files) -> Mover:
+    def prepare(self, config: TopicConfig, files: Files) -> Mover:
         """Prepare the motion. Raises BadInput for a bad skeleton, one without a unit, and a rotation of length 0."""
-        c = cast(TopicConfig, config)
-        rotation = read_rotation(list(c.rotation), "quaternion", "rotation")[None]
-        translation = np.array([c.position], np.float64)
+        rotation = read_rotation(list(config.rotation), "quaternion", "rotation")[None]
+        translation = np.array([config.position], np.float64)
         rest = Mover(("body",), np.array([-1], np.int32), np.zeros((1, 3)), lambda t: (rotation, translation))
-        if c.skeleton is not None:
+        if config.skeleton is not None:
             # Poses arrive in the world, so neither the file's rate nor its vertical axis matters.
-            file = BvhConfig(file=c.skeleton, position=c.position, frame_rate=1.0, up="y", scale=c.scale or 1.0)
+            scale = config.scale or 1.0
+            file = BvhConfig(file=config.skeleton, position=config.position, frame_rate=1.0, up="y", scale=scale)
             rest = BVH().prepare(file, files)
             turns, places = rest.pose(0.0)
             size = float(np.ptp(places, axis=0).max())
-            if c.scale is None and not SMALLEST <= size <= LARGEST:
+            if config.scale is None and not SMALLEST <= size <= LARGEST:
                 limit, remedy = f"{SMALLEST} to {LARGEST} m", f"scale: 1cm or 1mm; scale: 1m if it is {size:.3g} m long"
-                raise BadInput("it may not be in metres", c.skeleton, None, "scale", f"{size:.3g} units", limit, remedy)
+                value = f"{size:.3g} units"
+                raise BadInput("it may not be in metres", config.skeleton, None, "scale", value, limit, remedy)
             translation = translation + turn(rotation_matrices(rotation)[0], places - translation)
             rotation = multiply(rotation, turns)
-        elif c.scale is not None:
+        elif config.scale is not None:
             raise BadInput("no skeleton to scale", field="scale", remedy="give skeleton, or leave it out")
         live = Live(
-            rotation, translation, c.key, c.frames == "poses", c.silence, c.silent == "stop", c.fastest, c.fastest_turn
-        )
+            rotation, translation, config.key, config.frames == "poses", config.silence, config.silent == "stop",
+            config.fastest, config.fastest_turn,
+        )  # fmt: skip
         return replace(rest, pose=live.pose, live=live)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -418,19 +418,18 @@ class Offset:
     Config: ClassVar[type[BaseModel]] = OffsetConfig
 
     def prepare(
-        self, config: Any, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float,
+        self, config: OffsetConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float,
         bodies: Geometry | None = None, poses: Poses | None = None,
     ) -> Term:  # fmt: skip
         """Return the term. Raises BadInput for a start in which cloth meets cloth or a body, for cloth thicker than its
         edges, and for bodies that are not of triangles.
         """
-        settings, solids = cast(OffsetConfig, config), make_solids(bodies, poses)
-        h, piece = float(settings.thickness), np.zeros(fabric.number, np.int32)
+        solids, h, piece = make_solids(bodies, poses), float(config.thickness), np.zeros(fabric.number, np.int32)
         for number, vertices in enumerate(objects.values()):
             piece[vertices] = number
         check_thickness(fabric, h)
         stiffness = auto_stiffness(fabric, gravity, h)
-        law = np.array([h, settings.friction, settings.damping])
+        law = np.array([h, config.friction, config.damping])
         free = ~fabric.pinned
         most = AT_ONCE * (stiffness / fabric.mass)[free].max(initial=0.0)
         pieces, cloth = [*objects, *solids.names], len(objects)
@@ -443,5 +442,5 @@ class Offset:
             check_outside(fabric, bodies, solids)
             set_solid_poses(term, poses, poses)
         check_gaps(term, pieces)
-        damping = max(settings.damping, float(solids.law[:, 1].max(initial=0.0)))
+        damping = max(config.damping, float(solids.law[:, 1].max(initial=0.0)))
         return Term("cloth_contact", (term,), float(most), 2.0 * damping * float(np.sqrt(most)))

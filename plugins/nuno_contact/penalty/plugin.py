@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -102,15 +102,14 @@ class Penalty:
     any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = PenaltyConfig
 
-    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
+    def prepare(self, config: PenaltyConfig, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """Return the term. Raises BadInput for constants that make no sense.
 
         All bodies may touch a vertex at once, so their k/m and c/m add up; within a body one primitive acts, and its
         normal and its friction spring are orthogonal, so k counts once.
         """
         check(geometry)
-        margin = cast(PenaltyConfig, config).margin
-        if margin != "auto":
+        if (margin := config.margin) != "auto":
             check_margin(margin, geometry)
         spread = triangle_spread(fabric.position, fabric.faces) if margin == "auto" else None
         fixed = GAP if margin == "auto" else margin

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,9 +118,9 @@ class Sliding:
     of_triangles: ClassVar[bool] = True
     """Distance fields are neither sent, nor used to measure penetration."""
 
-    def prepare(self, config: BaseModel, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
+    def prepare(self, config: SlidingConfig, fabric: Fabric, geometry: Geometry, gravity: Float) -> Term:
         """Return the term. Raises BadInput for a body that is no closed mesh, and for friction that makes no sense."""
-        gap, margin = cast(SlidingConfig, config).gap, cast(SlidingConfig, config).margin
+        gap, margin = config.gap, config.margin
         check_meshes(geometry)
         if margin != "auto":
             check_margin(margin, geometry)
