@@ -13,6 +13,7 @@ from nuno_kernels import kernel
 from nuno_schemas.bodies import CAPSULE, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import face_areas
 
 # Let q = sum_i b_i x_i be a point of a triangle with sides of at most L. For any point a
 #
@@ -72,8 +73,7 @@ def roundness(x: Float, faces: Int) -> tuple[float, float]:
     convex = (size > FLAT) & (way > 0.0)
     if not convex.any():
         return 0.0, FLAT
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    share = np.repeat(area[:, None], 3, axis=1)[convex]
+    share = np.repeat(face_areas(corners)[:, None], 3, axis=1)[convex]
 
     def beyond(values: Float) -> float:
         ascending = np.argsort(values)

@@ -14,15 +14,13 @@ import numpy as np
 
 from nuno_kernels import kernel
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import unit_rows
 
 
 def face_normals(x: Float, faces: Int) -> Float:
     """Return unit normals (f, 3) of triangles (f, 3); zero for a triangle without area."""
     a, b, c = (x[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    unit: Float = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-    return unit
+    return unit_rows(np.cross(b - a, c - a))
 
 
 def edge_numbers(faces: Int) -> tuple[Int, Int]:

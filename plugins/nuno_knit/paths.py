@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_knit.skin import to_unit
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.vectors import unit_rows
 
 # Yarns as rows of points, from one end to the other.
 
@@ -163,24 +163,24 @@ def face_of_knit(net: Net, x: Float) -> Float:
 
     At a turn a yarn passes from one link to the next; at a head it turns clockwise, seen from the face.
     """
-    along = to_unit(x[net.end] - x[net.start])
+    along = unit_rows(x[net.end] - x[net.start])
     on = net.onward
     turn = np.zeros_like(along)
     turn[:-1][on] = -net.role[:-1, 1][on, None] * np.cross(along[:-1], along[1:])[on]
-    return to_unit(net.sums(np.concatenate([np.zeros_like(turn), turn]), len(x)))
+    return unit_rows(net.sums(np.concatenate([np.zeros_like(turn), turn]), len(x)))
 
 
 def find_axes(net: Net, x: Float, normal: Float) -> tuple[Float, Float]:
     """Return unit directions (n, 3), normal to `normal`, in which the lower course's legs and arcs leave each point, as
     means with the opposite directions of the upper course's.
     """
-    along = to_unit(x[net.end] - x[net.start])
+    along = unit_rows(x[net.end] - x[net.start])
     away = np.concatenate([net.role[:, :1] * along, -net.role[:, 1:] * along])
     leg = np.concatenate([net.leg, net.leg])[:, None]
     axes = []
     for selected in (leg, ~leg):
         axis = net.sums(np.where(selected, away, 0.0), len(x))
-        axes.append(to_unit(axis - (axis * normal).sum(axis=1, keepdims=True) * normal))
+        axes.append(unit_rows(axis - (axis * normal).sum(axis=1, keepdims=True) * normal))
     return axes[0], axes[1]
 
 

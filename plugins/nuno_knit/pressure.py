@@ -22,6 +22,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
 from nuno_schemas.operation import Outcome, Surface
 from nuno_schemas.plugin import Config
+from nuno_schemas.vectors import unit_rows
 
 
 class PressureConfig(Config):
@@ -79,6 +80,4 @@ def shares(x: Float, cells: Int) -> tuple[Float, Float, Bool]:
     n, every = len(x), cells.T.reshape(-1)
     area: Float = np.bincount(every, np.tile(0.25 * size, 4), n).astype(np.float64)
     normal = np.stack([np.bincount(every, np.tile(vector[:, axis], 4), n) for axis in range(3)], axis=1)
-    length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-    return area, normal, np.bincount(every, minlength=n) == 4
+    return area, unit_rows(normal), np.bincount(every, minlength=n) == 4

@@ -13,6 +13,7 @@ from nuno_geometry.normals import blend_normals, face_normals
 from nuno_geometry.sections import Joined, join_faces
 from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.vectors import unit_rows
 
 CHUNK = 1 << 16
 """Segments whose samples are in memory at once."""
@@ -56,7 +57,7 @@ class Skin:
             if not len(low):
                 break
             # Off the surface the direction is the distance's gradient, on it the face's normal.
-            away = np.sign(distance[low])[:, None] * to_unit(points[low] - foot[low])
+            away = np.sign(distance[low])[:, None] * unit_rows(points[low] - foot[low])
             clear = np.abs(distance[low]) > 1e-3 * height[low]
             points[low] = foot[low] + height[low, None] * np.where(clear[:, None], away, self.facing[face[low]])
             nearest = closest_points(self.tree, points[low], face[low])
@@ -79,9 +80,3 @@ class Skin:
             nearest = closest_points(self.tree, (a + share * (b - a)).reshape(-1, 3), near)
             depth = max(depth, -float(nearest.distance.min()))
         return (samples - 1) * len(first) + len(ptr) - 1, depth
-
-
-def to_unit(vectors: Float) -> Float:
-    """Return vectors (n, 3) scaled to length 1; zero vectors stay."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0))

@@ -18,10 +18,11 @@ from pydantic import Field
 from nuno_knit.paths import WIDEST, Net, Paths, face_of_knit, find_axes, find_net, find_paths, find_widths, lay_loops
 from nuno_knit.quantities import Share
 from nuno_knit.repair import CHECKED, Repaired, YarnConfig, count_links, measure, radius_of, repair, to_skin
-from nuno_knit.skin import Skin, to_unit
+from nuno_knit.skin import Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
 from nuno_schemas.operation import Outcome, Surface, YarnCurves
+from nuno_schemas.vectors import unit_rows
 
 # Centripetal Catmull-Rom curves through points.
 #
@@ -156,7 +157,7 @@ def vertex_normals(net: Net, x: Float) -> Float:
         raise BadInput("yarns that are not finite have no curves", field="x")
     normal = face_of_knit(net, x)
     neighbours = net.sums(normal[np.concatenate([net.end, net.start])], len(x))
-    return to_unit(np.where(normal.any(axis=1, keepdims=True), normal, neighbours))
+    return unit_rows(np.where(normal.any(axis=1, keepdims=True), normal, neighbours))
 
 
 def middles(laid: Repaired) -> Float:
@@ -181,7 +182,7 @@ def _interpolate_normals(paths: Paths, ptr: NDArray[np.int64], normal: Float) ->
     normals = np.empty((int(ptr[-1]), 3))
     inside = np.ones(len(normals), bool)
     inside[ptr[1:] - 1] = False
-    normals[inside] = np.stack([near, near, to_unit(near + far), far], axis=1).reshape(-1, 3)
+    normals[inside] = np.stack([near, near, unit_rows(near + far), far], axis=1).reshape(-1, 3)
     normals[~inside] = point_normals[paths.ptr[1:] - 1]
     return normals
 

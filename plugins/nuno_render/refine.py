@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_render.scene import FAR, check_mesh, find_twins, unit_rows, vertex_normals
+from nuno_render.scene import FAR, check_mesh, find_twins, vertex_normals
 from nuno_render.sight import sight_of
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.pictures import Camera, Mesh
+from nuno_schemas.vectors import unit_rows
 
 Index = NDArray[np.int64]
 CROWDED = 0.7

@@ -14,6 +14,7 @@ from nuno_schemas.colour import parse_hex, to_linear
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.pictures import Mesh
+from nuno_schemas.vectors import unit_rows
 
 # Images on cloth: mip maps in linear light, and trilinear look-up with a few taps along the slant.
 
@@ -250,9 +251,3 @@ def vertex_normals(x: Float, faces: Int, twins: Int) -> Float:
     at, weighted = twins[faces].reshape(-1), (angle[..., None] * flat[:, None]).reshape(-1, 3)
     total = np.stack([np.bincount(at, weighted[:, k], len(x)) for k in range(3)], axis=1)[twins]
     return np.asarray(np.where((total != 0.0).any(axis=1, keepdims=True), unit_rows(total), [0.0, 0.0, 1.0]))
-
-
-def unit_rows(vectors: NDArray[Any]) -> Float:
-    """Return vectors (..., 3) of length 1; 0 stays 0."""
-    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
-    return np.asarray(np.divide(vectors, length, out=np.zeros(vectors.shape), where=length > 0.0))

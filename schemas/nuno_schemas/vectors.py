@@ -8,8 +8,10 @@ bodies uses these functions instead: a sum along an axis, and einsum without `op
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_schemas.fabric import Float, Int
 
@@ -26,6 +28,22 @@ def dot(a: Float, b: Float) -> Float:
 def norm(v: Float) -> Float:
     """Return the lengths (...) of vectors (..., k)."""
     return np.asarray(np.sqrt(dot(v, v)))
+
+
+def unit_rows(vectors: NDArray[Any]) -> Float:
+    """Return vectors (..., k) of length 1; 0 stays 0."""
+    length = norm(vectors)[..., None]
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors, length.dtype), where=length > 0.0))
+
+
+def face_areas(corners: Float) -> Float:
+    """Return the areas (f,) of triangles with corners (f, 3, 3) [m^2]."""
+    return 0.5 * norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def vertex_areas(x: Float, faces: Int) -> Float:
+    """Return the areas (n,) of vertices x (n, 3), a third of their triangles' (f, 3) each [m^2]."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(x[faces]) / 3.0, 3), len(x)).astype(np.float64)
 
 
 def turn(matrices: Float, vectors: Float) -> Float:

@@ -15,7 +15,6 @@ from model_files import Folder, build
 from numpy.typing import NDArray
 
 from nuno_cloth.models.mesh import Mesh
-from nuno_cloth.models.triangles import face_areas
 from nuno_contact.colliders.mesh import MeshCollider, MeshConfig
 from nuno_contact.skinning.rig import Rig, weights_of
 from nuno_geometry.check import volume
@@ -23,6 +22,7 @@ from nuno_geometry.mesh_files.mesh import clean_mesh, load_mesh, read_closed
 from nuno_geometry.mesh_files.polygons import triangulate
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.vectors import face_areas
 from nuno_wrinkle.lines import Line, read_lines
 
 CUBE = trimesh.creation.box((1.0, 1.0, 1.0))

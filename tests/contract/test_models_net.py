@@ -15,9 +15,9 @@ from nuno_cloth.fabrics.presets import PRESETS
 from nuno_cloth.models.mesh import Mesh, MeshConfig
 from nuno_cloth.models.net import Net, NetConfig
 from nuno_cloth.models.sheet import Sheet
-from nuno_cloth.models.triangles import face_areas
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric
+from nuno_schemas.vectors import face_areas
 
 __all__ = ["files"]
 

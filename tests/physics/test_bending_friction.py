@@ -16,7 +16,7 @@ from nuno.simulation.cloth import join_fabrics
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending_friction import SLIP, build_friction
-from nuno_cloth.models.triangles import face_areas, yarn_axes
+from nuno_cloth.models.triangles import yarn_axes
 from nuno_integrators.compiled import Compiled
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.matrix import fill, make_linear
@@ -26,6 +26,7 @@ from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Packed, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.vectors import face_areas
 
 HB = np.array([3e-4, 1e-4])
 SIDE = 0.02

@@ -19,8 +19,9 @@ from nuno_cloth.models.bending_friction import build_friction
 from nuno_cloth.models.delaunay import triangulate
 from nuno_cloth.models.mesh import Mesh, MeshConfig
 from nuno_cloth.models.patches import flip_slivers
-from nuno_cloth.models.triangles import face_areas, yarn_axes
+from nuno_cloth.models.triangles import yarn_axes
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.vectors import face_areas
 
 CELL = 0.01
 CLOTH = Material(0.05, 400.0, 400.0, 30.0, 5e-5, 5e-5)

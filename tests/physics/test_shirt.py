@@ -13,7 +13,7 @@ from nuno_cloth.models.delaunay import fill_outline, triangulate
 from nuno_cloth.models.membrane import open_spans
 from nuno_cloth.models.shirt import STANDARD, Shirt, ShirtConfig, sewn_for, take_measures
 from nuno_cloth.models.shirt_pattern import outline_of
-from nuno_cloth.models.triangles import face_areas, find_edges
+from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import find_wearer
 from nuno_contact.body_shapes.leg import leg_mesh
 from nuno_contact.body_shapes.person import torso_mesh
@@ -21,6 +21,7 @@ from nuno_geometry.closest_point import closest_points
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.vectors import face_areas
 
 Body = tuple[Float, Int]
 

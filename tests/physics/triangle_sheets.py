@@ -9,8 +9,9 @@ import scipy.sparse.linalg
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.delaunay import triangulate
-from nuno_cloth.models.triangles import face_areas, yarn_axes
+from nuno_cloth.models.triangles import yarn_axes
 from nuno_schemas.fabric import Fabric, Float, Int
+from nuno_schemas.vectors import face_areas
 
 KINDS = ("diagonal", "alternating", "irregular")
 

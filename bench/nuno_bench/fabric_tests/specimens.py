@@ -21,6 +21,7 @@ from nuno_cloth.fabrics import shadow as shadows
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.system import System
+from nuno_schemas.vectors import face_areas
 
 FRAMES = 400
 """Frames until then."""
@@ -172,9 +173,7 @@ def _stiffness(gradient: Float, fabric: object, angle: float, **model: Any) -> f
 
 def density(rig: Rig) -> float:
     """Mass per area [kg/m^2]."""
-    corners = rig.fabric.position[rig.fabric.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(rig.fabric.mass.sum() / (0.5 * np.linalg.norm(across, axis=1)).sum())
+    return float(rig.fabric.mass.sum() / face_areas(rig.fabric.position[rig.fabric.faces]).sum())
 
 
 def bend(fabric: object, angle: float, **model: Any) -> Loop:

@@ -16,8 +16,8 @@ from nuno_cloth.fabrics.material import FabricChoice, Materials, resolve
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import AT_ONCE, Clamp, find_clamp, fit, plate
 from nuno_cloth.models.patches import Patches, find_patches, find_sides
-from nuno_cloth.models.triangles import face_areas
 from nuno_schemas.fabric import BendingFriction, Bool, Float, Int
+from nuno_schemas.vectors import face_areas
 
 AROUND = 8
 BYTES_PER_VERTEX = 1500

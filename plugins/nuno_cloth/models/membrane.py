@@ -23,7 +23,7 @@ from nuno_cloth.fabrics.material import HandSet, Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.bending_friction import build_friction
-from nuno_cloth.models.triangles import Edges, face_areas, hinge_stiffness, spring_stiffness, yarn_axes
+from nuno_cloth.models.triangles import Edges, hinge_stiffness, spring_stiffness, yarn_axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import (
     BENDING,
@@ -37,6 +37,7 @@ from nuno_schemas.fabric import (
     Membrane,
     Springs,
 )
+from nuno_schemas.vectors import face_areas
 
 # Elements of cloth of triangles: a measured fabric's membrane and bending, or springs with hinges.
 

@@ -23,13 +23,13 @@ from nuno_cloth.models.placement import (
     Velocity,
     find_texture,
 )
-from nuno_cloth.models.triangles import ACROSS, Edges, face_areas, find_edges, second_axis
+from nuno_cloth.models.triangles import ACROSS, Edges, find_edges, second_axis
 from nuno_cloth.quantities import Scale
 from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh, material_images
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
-from nuno_schemas.vectors import turn
+from nuno_schemas.vectors import face_areas, turn
 
 KINDS = ("obj", "ply", "stl")
 SEEN_ACROSS = 0.1

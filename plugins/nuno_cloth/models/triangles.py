@@ -26,7 +26,7 @@ import numpy as np
 
 from nuno_cloth.fabrics.presets import Material
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.vectors import dot
+from nuno_schemas.vectors import dot, face_areas
 
 TENSION = 1000.0
 
@@ -60,13 +60,6 @@ def find_edges(faces: Int) -> Edges:
     inner = np.flatnonzero((left >= 0) & (right >= 0) & (count == 2))
     quads = np.stack([pairs[inner, 0], pairs[inner, 1], left[inner], right[inner]], 1)
     return Edges(*(part.astype(np.int32) for part in (pairs, edge.reshape(-1, 3), inner, quads, count)))
-
-
-def face_areas(corners: Float) -> Float:
-    """Return areas (f,) of triangles with corners (f, 3, 3) [m^2]."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area: Float = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return area
 
 
 ACROSS = 0.1

@@ -28,6 +28,7 @@ from nuno_schemas.bodies import FIELD, DistanceField
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.plugin import BodyShape, Files, Mover
+from nuno_schemas.vectors import face_areas
 
 # Distance fields on disk, by a hash of their input: a body is sampled once, not at every start.
 
@@ -186,9 +187,8 @@ def check_inside(field: DistanceField, x: Float, faces: Int) -> None:
 
 def thin_parts(field: DistanceField, x: Float, faces: Int) -> tuple[str, ...]:
     """Describe parts so thin that the field there faces away from the surface."""
-    normals = face_normals(x, faces)
-    corners = x[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals, corners = face_normals(x, faces), x[faces]
+    area = face_areas(corners)
     gradient = sample_field(field, corners.mean(axis=1))[:, 1:]
     away = (gradient * normals).sum(axis=1) < 0.0
     share = float(area[away].sum() / area.sum())

@@ -13,7 +13,7 @@ from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.step.blocks import Long, block_count
 from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
-from nuno_schemas.vectors import norm
+from nuno_schemas.vectors import vertex_areas
 
 # Indices of the arrays of ContactState that hold single numbers.
 
@@ -301,9 +301,7 @@ class Solids(NamedTuple):
 
 def size_of(x: Float, faces: Int) -> Float:
     """Return the width (n,) [m] of a square of the area of each vertex x (n, 3), a third of its faces (f, 3)."""
-    a, b, c = (x[faces[:, k]] for k in range(3))
-    area = norm(np.cross(b - a, c - a)) / 6.0
-    return np.asarray(np.sqrt(np.bincount(faces.ravel(), np.repeat(area, 3), len(x))))
+    return np.asarray(np.sqrt(vertex_areas(x, faces)))
 
 
 def make_bodies(solids: Solids) -> BodyVertices:

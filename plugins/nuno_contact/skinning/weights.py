@@ -22,7 +22,7 @@ from nuno_geometry.harmonic import edge_weights, solve_gradients
 from nuno_geometry.tree import build_tree
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.vectors import dot, norm
+from nuno_schemas.vectors import dot, norm, vertex_areas
 
 HEAT = 1.0
 """factor of H: the larger, the shorter the way over which weights pass from bone to bone"""
@@ -82,9 +82,8 @@ def spread_heat(x: Float, faces: Int, part: Int, distance: Float, parts: int) ->
     """Return the heat of each part at each vertex (v, parts). Raises BadInput for a mesh on which it is not found."""
     pairs, weight = edge_weights(x, faces)
     number = len(x)
-    (i, j), corner = pairs.T, x[faces]
-    area = norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])) / 6.0
-    source = HEAT * np.bincount(faces.ravel(), np.repeat(area, 3), number) / distance**2
+    i, j = pairs.T
+    source = HEAT * vertex_areas(x, faces) / distance**2
     diagonal = np.bincount(i, weight, number) + np.bincount(j, weight, number) + source
     rows, columns = np.concatenate([i, j, np.arange(number)]), np.concatenate([j, i, np.arange(number)])
     matrix = csr_array((np.concatenate([-weight, -weight, diagonal]), (rows, columns)), shape=(number, number))

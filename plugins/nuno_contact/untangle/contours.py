@@ -15,7 +15,7 @@ from nuno_geometry.normals import edge_numbers
 from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.operation import Surface
-from nuno_schemas.vectors import dot, norm
+from nuno_schemas.vectors import dot, norm, unit_rows, vertex_areas
 
 # The cloth as untangling sees it: its mesh, the vertices that may move, and the pieces that meet.
 
@@ -82,8 +82,7 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: 
     mean = csr_array((1.0 / np.repeat(degree, degree), ring, ring_start), shape=(n, n))
     border = np.zeros(n, bool)
     border[edges[np.diff(side_start) == 1]] = True
-    a, b, c = (x[tree.faces[:, k]] for k in range(3))
-    area = np.bincount(tree.faces.ravel(), np.repeat(norm(np.cross(b - a, c - a)) / 6.0, 3), n)
+    area = vertex_areas(x, tree.faces)
     of_cloth = edges[edges[:, 1] < fabric.number]
     length = norm(x[of_cloth[:, 1]] - x[of_cloth[:, 0]])
     edge = float(np.cumsum(length)[-1] / len(length))
@@ -151,17 +150,11 @@ class Contours(NamedTuple):
     pull: Float
 
 
-def units(v: Float) -> Float:
-    """Return v (k, 3) at length 1; of none, 0."""
-    length = norm(v)[:, None]
-    return np.divide(v, length, out=np.zeros_like(v), where=length > 0.0)
-
-
 def make_nodes(cloth: Cloth, x: Float, edge: Long, face: Long) -> Nodes:
     """Return the nodes of edges (k,) that go through triangles (k,), at vertices x (n, 3)."""
     ends, corners = cloth.tree.edges[edge].astype(np.int64), cloth.tree.faces[face].astype(np.int64)
     a, b, c = (x[corners[:, k]] for k in range(3))
-    normals = units(np.cross(b - a, c - a))
+    normals = unit_rows(np.cross(b - a, c - a))
     heights = np.stack([dot(x[ends[:, k]] - a, normals) for k in (0, 1)], axis=1)
     way = heights[:, 0] - heights[:, 1]
     t = np.clip(np.divide(heights[:, 0], way, out=np.full(len(way), 0.5), where=way != 0.0), 0.0, 1.0)
@@ -194,7 +187,7 @@ def find_contours(cloth: Cloth, x: Float, nodes: Nodes) -> Contours:
     first, second = order[same], order[same + 1]
     one, two = node[first], node[second]
     pull = np.zeros((k, 3))
-    along = units(nodes.places[two] - nodes.places[one])
+    along = unit_rows(nodes.places[two] - nodes.places[one])
     np.add.at(pull, one, along)
     np.add.at(pull, two, -along)
     alone = np.ones(len(order), bool)
@@ -203,7 +196,7 @@ def find_contours(cloth: Cloth, x: Float, nodes: Nodes) -> Contours:
     shared = (faces[own[left]][:, :, None] == faces[other[left]][:, None, :]).any(axis=2)
     to = faces[own[left], shared.argmax(axis=1)]
     ending = shared.any(axis=1)
-    np.add.at(pull, node[left][ending], units(x[to] - nodes.places[node[left]])[ending])
+    np.add.at(pull, node[left][ending], unit_rows(x[to] - nodes.places[node[left]])[ending])
     # Twice the nodes, one for each sheet that the edge may be of: a contour comes out twice, the sheets exchanged.
     turned = (own[first] != own[second]).astype(np.int64)
     begins, stops = np.concatenate([one, one + k]), np.concatenate([two + k * turned, two + k * (1 - turned)])
@@ -332,13 +325,13 @@ def part(cloth: Cloth, nodes: Nodes, contours: Contours, own: Long) -> tuple[Boo
 
 def shortening(x: Float, nodes: Nodes, contours: Contours, own: Long, sign: Float) -> Float:
     """Return the way (m, 3) that the contour's first sheet has to go in relation to its second to make it shorter."""
-    e, n, r = units(x[nodes.ends[own, 1]] - x[nodes.ends[own, 0]]), nodes.normals[own], contours.pull[own]
+    e, n, r = unit_rows(x[nodes.ends[own, 1]] - x[nodes.ends[own, 0]]), nodes.normals[own], contours.pull[own]
     cosine = dot(e, n)
     cosine = np.where(np.abs(cosine) < GRAZING, np.copysign(GRAZING, cosine), cosine)
     steepest = sign[:, None] * (r - 2.0 * (dot(r, e) / cosine)[:, None] * n)
     total, length = np.cumsum(steepest, axis=0)[-1:], norm(steepest)
     if float(norm(total)[0]) > ONE_WAY * float(np.cumsum(length)[-1]):
-        return np.repeat(units(total), len(own), axis=0)
+        return np.repeat(unit_rows(total), len(own), axis=0)
     longest = float(length.max())
     return steepest / longest if longest > 0.0 else steepest
 
@@ -353,5 +346,5 @@ def spread(contours: Contours, sign: Float, way: Float, known: Bool) -> None:
         new = ~known & (count > 0)
         if not new.any():
             return
-        way[new] = sign[new][:, None] * units(total[new])
+        way[new] = sign[new][:, None] * unit_rows(total[new])
         known |= new

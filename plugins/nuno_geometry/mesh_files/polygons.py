@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.reading import with_point
+from nuno_schemas.vectors import unit_rows
 
 # The content of a mesh file, and triangles of its polygons: convex or not, flat or not, the same ones whichever corner
 # comes first.
@@ -111,9 +112,7 @@ def _fans(x: Float) -> tuple[Bool, Places]:
         middle = x.mean(axis=1, keepdims=True)
         y = x - middle
         extent = np.abs(y).max(axis=(1, 2))[:, None]
-        normal = np.cross(y, np.roll(y, -1, axis=1)).sum(axis=1)
-        length = np.linalg.norm(normal, axis=1)[:, None]
-        normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)[:, None]
+        normal = unit_rows(np.cross(y, np.roll(y, -1, axis=1)).sum(axis=1))[:, None]
 
         def turns(one: Float, other: Float, least: float) -> Bool:
             size = np.linalg.norm(one, axis=2) * np.linalg.norm(other, axis=2)

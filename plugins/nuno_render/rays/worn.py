@@ -24,6 +24,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.operation import YarnCurves
 from nuno_schemas.pictures import Camera, Mesh, axes
+from nuno_schemas.vectors import unit_rows
 
 # Bodies and yarns as checked arrays for the kernels of rays.
 
@@ -131,9 +132,7 @@ def tangents_along(points: Float, yarns: YarnCurves) -> Float:
     previous[first], following[last] = np.where(closed, last - 1, first), np.where(closed, first + 1, last)
     lone = yarns.ptr[:-1][np.diff(yarns.ptr) == 1]
     previous[lone] = following[lone] = lone
-    chord = points[following] - points[previous]
-    length = np.linalg.norm(chord, axis=1, keepdims=True)
-    return np.asarray(np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0))
+    return unit_rows(points[following] - points[previous])
 
 
 def check_eye(bodies: tuple[Mesh, ...], camera: Camera) -> None:

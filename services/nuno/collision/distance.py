@@ -29,6 +29,7 @@ from nuno_schemas.bodies import (
 )
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.operation import Beside
+from nuno_schemas.vectors import face_areas
 
 # Depth of points inside a closed mesh, independent of the search that contact uses.
 #
@@ -256,9 +257,7 @@ def measure_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses, met: 
             distance = _lowest(points, geometry, poses, [i], True).reshape(len(near), -1)
             inside[near] |= distance < 0.0
             deepest = max(deepest, -float(distance.min()))
-    edges = corners[:, 1:] - corners[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return Inside(depth, float(area @ (inside @ WEIGHTS)), deepest)
+    return Inside(depth, float(face_areas(corners) @ (inside @ WEIGHTS)), deepest)
 
 
 def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:

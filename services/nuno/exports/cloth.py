@@ -24,6 +24,7 @@ from nuno_schemas.colour import colours, parse_hex, read_rgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Corners, Float, Int, Panels
 from nuno_schemas.messages import BODIES, FABRIC, GEOMETRY, STATE
+from nuno_schemas.vectors import unit_rows
 
 if TYPE_CHECKING:
     from nuno.simulation.yarns import Tensions
@@ -396,8 +397,8 @@ def tubes(x: Float, edges: Int) -> tuple[Float, Int, NDArray[np.int64]]:
     start, end = x[edges[:, 0]], x[edges[:, 1]]
     axis = end - start
     helper = np.eye(3)[np.argmin(np.abs(axis), axis=1)]
-    u = _unit(np.cross(helper, axis))
-    v = _unit(np.cross(axis, u))
+    u = unit_rows(np.cross(helper, axis))
+    v = unit_rows(np.cross(axis, u))
     angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
     ring = np.cos(angle)[None, :, None] * u[:, None] + np.sin(angle)[None, :, None] * v[:, None]
     ring *= THICKNESS * (extent or 1.0)
@@ -409,8 +410,3 @@ def tubes(x: Float, edges: Int) -> tuple[Float, Int, NDArray[np.int64]]:
     )
     faces = (pattern[None] + 2 * SIDES * np.arange(len(edges))[:, None, None]).reshape(-1, 3).astype(np.int32)
     return vertices, faces, np.repeat(edges, SIDES, axis=1).reshape(-1).astype(np.int64)
-
-
-def _unit(vectors: Float) -> Float:
-    length = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
-    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0))

@@ -19,6 +19,7 @@ from nuno.exports.well_known import encode_shapes, encode_turns, foxglove_kind
 from nuno.recording.mcap_file import Shown
 from nuno_schemas import messages
 from nuno_schemas.fabric import Float
+from nuno_schemas.vectors import face_areas
 
 MESHES, NUMBERS, CURVE_BYTES = 0.085, 0.03, 40
 """Shares of a recording's bytes that all of these messages may have where another mesh or picture is written, and that
@@ -162,7 +163,7 @@ class ViewerMessages:
 
     def _points(self, shapes: list[tuple[str, Shape]], at: int) -> Iterator[Shown]:
         """Yield points on each part of the bodies, for viewers without meshes."""
-        areas = [_areas(shape).sum() for _, shape in shapes]
+        areas = [face_areas(shape.x[shape.indices]).sum() for _, shape in shapes]
         number = min(max(DENSITY * self._planned * self._show.vertices, FEWEST), MOST)
         for (frame, shape), area in zip(shapes, areas, strict=True):
             x, shade = scatter(shape, 1 + int(number * area / sum(areas)))
@@ -198,16 +199,10 @@ class ViewerMessages:
                 self._numbers += CURVE_BYTES
 
 
-def _areas(shape: Shape) -> Float:
-    """Return the area of each triangle, (f,) [m^2]."""
-    a, b, c = np.take(shape.x, shape.indices.T, axis=0)
-    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-
-
 def scatter(shape: Shape, number: int) -> tuple[Float, Float]:
     """Return points (number, 3) [m] evenly on a shape's triangles, and their brightness (number,) in [0, 1]."""
     a, b, c = np.take(shape.x, shape.indices.T, axis=0)
-    area = _areas(shape)
+    area = face_areas(shape.x[shape.indices])
     share = (np.arange(number) + 0.5) / number * area.sum()
     of = np.minimum(np.searchsorted(np.cumsum(area), share), len(area) - 1)
     u, v = ((np.arange(number) * step % 1.0)[:, None] for step in R2)

@@ -41,6 +41,7 @@ from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.messages import BODIES, CONTACT, EVENT, FABRIC, STATUS, TOUCHES, BodyContact, Contact
 from nuno_schemas.system import StepReport
+from nuno_schemas.vectors import vertex_areas
 
 # Queries to the collision service: geometry of the bodies, and their poses in each frame.
 
@@ -391,7 +392,7 @@ def feel(simulation: Simulation) -> tuple[Contact, dict[str, NDArray[Any]]]:
     contact_forces = simulation.present_touched()
     assert geometry is not None and poses is not None and contact_forces is not None
     triangles = surface_of(simulation.fabric)
-    areas, normals = areas_of(x, triangles), vertex_normals(x, triangles)
+    areas, normals = vertex_areas(x, triangles), vertex_normals(x, triangles)
     owners = np.array([geometry.bodies.index(name.split("/", 1)[0]) for name in geometry.frames], np.int32)
     attached_vertices = _attached_vertices(simulation, owners)
     contacts, columns = [], []
@@ -435,13 +436,6 @@ def require_touched(simulation: Simulation) -> None:
         parts = () if callable(term.data) else term.data
         if term.bodies and not (parts and all(type(part).kernels.find("report.alone") for part in parts)):
             raise loaded.at(field, BadInput(problem, value=term.name, limit=", ".join(term.bodies), remedy=remedy))
-
-
-def areas_of(x: Float, faces: Int) -> Float:
-    """Return the area of each vertex, a third of its triangles' area, shape (n,) [m^2]."""
-    a, b, c = (x[faces[:, i]] for i in range(3))
-    each = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.asarray(np.bincount(faces.ravel(), np.repeat(each, 3), len(x)), np.float64)
 
 
 def _attached_vertices(simulation: Simulation, owners: Int) -> list[Int]:
