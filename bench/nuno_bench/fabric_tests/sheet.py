@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import nuno
+from nuno.exports.cloth import as_url
 from nuno.exports.pictures import export_picture
 from nuno.plugin_contract import registry
 from nuno.recording.reader import open_recording
@@ -25,13 +26,13 @@ from nuno.scene.files import read_text
 from nuno_bench import machine, options
 from nuno_bench.fabric_tests import specimens
 from nuno_bench.fabric_tests.specimens import DOT, mount
-from nuno_bench.gallery.kind import embed, read_picture
 from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number
 from nuno_bench.report.plots import Curve, Panel
 from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
 from nuno_cloth.fabrics.laboratory import read_drape
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 
@@ -406,12 +407,12 @@ def pictures(fabric: object, found: Sheet) -> list[page.Part]:
         changes = [f"objects.0.model.{key}={value}" for key, value in model.items()]
         nuno.run("instruments/drapemeter", *changes, record=target)
         with open_recording(target) as recording:
-            picture = read_picture(export_picture(recording, Path(folder) / "drape.png", None, SIZE, "cloth"))
-        images.append(page.Image(embed(picture), f"On its support of {200.0 * support:g} cm, edges of 10 mm."))
+            picture = read_rgb(export_picture(recording, Path(folder) / "drape.png", None, SIZE, "cloth"))
+        images.append(page.Image(as_url(picture), f"On its support of {200.0 * support:g} cm, edges of 10 mm."))
     for start, one in found.drapes.items():
         dark = np.where(one.shadow[::2, ::2, None], np.uint8(60), np.uint8(245)).repeat(3, axis=2)
         begun = f", started in {start.folds} folds" if start.folds else ""
         says = f"Shadow with edges of {1e3 * start.edge:g} mm, seed {start.seed}{begun}: "
         says += f"{100.0 * one.coefficient:.1f} %, {one.nodes} nodes, {1e6 * one.energy:.0f} uJ."
-        images.append(page.Image(embed(dark), says))
+        images.append(page.Image(as_url(dark), says))
     return [page.Pictures(images), f"A shadow's picture is {100.0 * DOT * len(one.shadow):.0f} cm wide."]

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import nuno
 from nuno.cli import textiles
-from nuno.exports.cloth import Pieces
+from nuno.exports.cloth import Pieces, as_url
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import open_recording
 from nuno_bench import machine
 from nuno_bench.fabric_tests.specimens import count_nodes, measure
-from nuno_bench.gallery.kind import embed, read_picture
 from nuno_bench.report import page
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.pictures import Picture
 from nuno_schemas.preset import Preset
 
@@ -66,14 +66,14 @@ def hang(preset: Preset) -> Swatch:
             flat, *_, last = (frame.x for frame in recording.frames())
             (piece,) = Pieces(recording).at(0.0)
             coefficient, shadow = measure(flat, last, piece.faces)
-            picture = read_picture(export_picture(recording, image, colour="cloth"))
+            picture = read_rgb(export_picture(recording, image, colour="cloth"))
     return Swatch(preset, picture, coefficient, count_nodes(shadow))
 
 
 def sections(swatches: list[Swatch]) -> page.Sections:
     """Pictures, measures with units, and the source of each measure."""
     images = [
-        page.Image(embed(one.picture), f"{one.preset.name}: {100.0 * one.coefficient:.0f} %, {one.nodes} folds")
+        page.Image(as_url(one.picture), f"{one.preset.name}: {100.0 * one.coefficient:.0f} %, {one.nodes} folds")
         for one in swatches
     ]
     named = [f"{each.name} [{each.unit or '1'}]" for each in swatches[0].preset.measures]

@@ -15,20 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from nuno.cli.common import add_flags
+from nuno.exports.cloth import as_url
 from nuno.formatting import roughly
 from nuno.python_api.plan import RuntimeEstimate, run_seconds
 from nuno.scene import scene_file
 from nuno.scene.templates import Garment, describe_worn, name_garments
 from nuno_bench import machine, options
 from nuno_bench.gallery import contact, dye, knit, sewn, skirt, wrinkle
-from nuno_bench.gallery.kind import (
-    Figure,
-    Gallery,
-    ShownScene,
-    Verdict,
-    embed,
-    judge_figures,
-)
+from nuno_bench.gallery.kind import Figure, Gallery, ShownScene, Verdict, judge_figures
 from nuno_bench.report import page, plots
 from nuno_schemas.errors import BadInput
 
@@ -240,7 +234,7 @@ def _pictures(kind: Gallery, shown: Sequence[ShownScene]) -> list[page.Image]:
     for one in shown:
         for i, (label, picture) in enumerate(one.pictures):
             caption = f"{one.name}{', ' if label else ''}{label}. {'' if i else one.description}".strip()
-            found.append((label == kind.apart != "", page.Image(embed(picture), caption)))
+            found.append((label == kind.apart != "", page.Image(as_url(picture), caption)))
     return [image for _, image in sorted(found, key=lambda each: each[0])]
 
 

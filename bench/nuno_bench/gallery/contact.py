@@ -11,8 +11,9 @@ from nuno.exports.cloth import read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
 from nuno.scene.scene_file import Loaded
-from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, read_picture, show_scene
+from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, show_scene
 from nuno_bench.report.page import Table, number
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.pictures import Picture
 
 SIZE = (640, 480)
@@ -44,7 +45,7 @@ def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple
     for label, share in SHARES.items():
         frame = read_frame(recording, round(share * last.number))
         picture = export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")
-        found.append((f"{label}, {frame.t:.3g} s", read_picture(picture)))
+        found.append((f"{label}, {frame.t:.3g} s", read_rgb(picture)))
     return found, measure(recording.report())
 
 

@@ -4,15 +4,11 @@ they are.
 
 from __future__ import annotations
 
-import base64
-import io
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 import nuno
 from nuno.recording.reader import Recording, open_recording
@@ -153,23 +149,6 @@ def show_scene(path: Path, look: Look, whole: bool = False, overrides: Sequence[
 def find_scenes(folder: str) -> dict[str, Path]:
     """Files of a folder's shipped scenes by name."""
     return {path.stem: path for path in shipped.scenes(folder).values()}
-
-
-def read_picture(path: Path) -> Picture:
-    """(height, width, 3) sRGB."""
-    from PIL import Image
-
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
-
-
-def embed(picture: Picture) -> str:
-    """A picture as a data URL."""
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="PNG", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def judge_figures(figures: Sequence[Figure], shown: Mapping[str, ShownScene]) -> list[Verdict]:

@@ -21,18 +21,11 @@ from nuno.scene import scene_file, shipped
 from nuno.scene.scene_file import Loaded
 from nuno.simulation.run import Simulation
 from nuno.simulation.yarns import edge_yarns, named_heights
-from nuno_bench.gallery.kind import (
-    Figure,
-    Finding,
-    Gallery,
-    Measures,
-    find_scenes,
-    read_picture,
-    show_scene,
-)
+from nuno_bench.gallery.kind import Figure, Finding, Gallery, Measures, find_scenes, show_scene
 from nuno_bench.report.page import Table, number
 from nuno_bench.report.plots import pyplot
 from nuno_render.rays.yarns import radiance
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.pictures import Picture
 
@@ -187,16 +180,14 @@ def _draw(loaded: Loaded, recording: Recording, folder: Path) -> list[tuple[str,
     target = folder / "picture.png"
     if not loaded.scene.bodies:
         square = (SIZE[0], SIZE[0])
-        return [
-            (label, read_picture(export_picture(recording, target, None, square, colour))) for label, colour in PANEL
-        ]
+        return [(label, read_rgb(export_picture(recording, target, None, square, colour))) for label, colour in PANEL]
     ways = [(label, style, (*settings, *_fine(loaded, style))) for label, style, settings in WORN
             if (loaded.scene.name, style) != (FINE, "density")]  # fmt: skip
     if loaded.scene.name in CLOSE:
         label, style, settings = WORN[1]
         ways.append((f"{label}, from near", style, (*settings, *CLOSE[loaded.scene.name])))
     return [
-        (label, read_picture(export_yarn_picture(recording, target, style, None, SIZE, settings)))
+        (label, read_rgb(export_yarn_picture(recording, target, style, None, SIZE, settings)))
         for label, style, settings in ways
     ]
 

@@ -18,9 +18,10 @@ from nuno.scene.recorded_scene import restored_scene
 from nuno.scene.scene_file import Loaded
 from nuno_bench.gallery.contact import CROSSED, SECONDS, SIZE, VERTICES
 from nuno_bench.gallery.contact import measure as measure_run
-from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, read_picture, show_scene
+from nuno_bench.gallery.kind import Gallery, ShownScene, find_scenes, show_scene
 from nuno_bench.piles import Oracle
 from nuno_bench.report.page import Table, number
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.pictures import Picture
 
 SIDES = {"from the front": 20, "from the side": 110, "from behind": 200}
@@ -45,7 +46,7 @@ def look(loaded: Loaded, recording: Recording, folder: Path) -> tuple[list[tuple
     for label, azimuth in SIDES.items():
         changes = Changes(overrides=(f"view.azimuth={azimuth} deg",))
         picture = export_picture(recording, folder / "picture.png", None, SIZE, "cloth", changes)
-        found.append((label, read_picture(picture)))
+        found.append((label, read_rgb(picture)))
     return found, measure(recording)
 
 

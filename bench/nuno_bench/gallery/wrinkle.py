@@ -19,8 +19,9 @@ from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
 from nuno.simulation.run import Simulation
 from nuno.studio.draw import distance_to
-from nuno_bench.gallery.kind import Figure, Finding, Gallery, Measures, read_picture, show_scene
+from nuno_bench.gallery.kind import Figure, Finding, Gallery, Measures, show_scene
 from nuno_bench.report.page import Table
+from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int, State
 from nuno_schemas.pictures import Picture
@@ -67,7 +68,7 @@ def look(
     frames = _stages(loaded, recording)
     pictures = [
         (f"{label}, {frame.t:.3g} s",
-         read_picture(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
+         read_rgb(export_picture(recording, folder / "picture.png", frame.number, SIZE, "cloth")))
         for label, frame in frames.items() if drawn
     ]  # fmt: skip
     if loaded.scene.name == BLOOM:

@@ -14,12 +14,11 @@ from nuno.collision.bodies import surface
 from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import penetration
 from nuno.exports.camera import place_camera, z_up
-from nuno.exports.cloth import BODY, STRETCH, ShownPiece, paint_stretch
+from nuno.exports.cloth import BODY, STRETCH, ShownPiece, as_url, paint_stretch
 from nuno.exports.pictures import RENDERER, ROOM
 from nuno.plugin_contract import registry
 from nuno.scene import scene_file, shipped
 from nuno.simulation.run import Simulation
-from nuno_bench.gallery.kind import embed
 from nuno_bench.peers.page import Comparison, fastest, is_ours, plain
 from nuno_bench.peers.pile import PileSolver
 from nuno_bench.peers.problem import RATE, Sheet
@@ -346,7 +345,7 @@ def draw_ends(skirt: Skirt, ends: Mapping[str, Float]) -> Pictures:
     images = []
     for name, cloth in cloths.items():
         config = renderer.Config.model_validate({"legend": LEGEND, "ground": float(body.vertices[:, 2].min())})
-        images.append(Image(embed(renderer.render(config, [cloth, body], camera)), name))
+        images.append(Image(as_url(renderer.render(config, [cloth, body], camera)), name))
     return Pictures(images)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import math
 from bisect import bisect_right
@@ -359,13 +360,18 @@ def colour_of(index: int) -> str:
     return CLOTHS[index % len(CLOTHS)]
 
 
-def as_png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode a picture (h, w, 3) as PNG, fast rather than small."""
+def as_png(picture: NDArray[np.uint8], **how: Any) -> bytes:
+    """Encode a picture (h, w, 3) as PNG, fast rather than small unless `how`, Pillow's options, says otherwise."""
     from PIL import Image
 
     out = io.BytesIO()
-    Image.fromarray(picture).save(out, "PNG", compress_level=1)
+    Image.fromarray(picture).save(out, "PNG", **({"compress_level": 1} | how))
     return out.getvalue()
+
+
+def as_url(picture: NDArray[np.uint8]) -> str:
+    """Return a picture (h, w, 3) as a PNG in a data URL, small rather than fast."""
+    return "data:image/png;base64," + base64.b64encode(as_png(picture, optimize=True)).decode()
 
 
 def paint_yarns(kinds: NDArray[np.int8]) -> NDArray[np.float64]:

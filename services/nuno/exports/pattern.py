@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from nuno.collision.bodies import outlines
-from nuno.exports.cloth import STRETCH, Pieces, ShownPiece, check_size, paint_stretch, read_frame
+from nuno.exports.cloth import STRETCH, Pieces, ShownPiece, as_url, check_size, paint_stretch, read_frame
 from nuno.output_files import check_target, load_extra, writing
 from nuno.recording.reader import Recording, opened
 from nuno_schemas.colour import colours, to_srgb
@@ -37,9 +34,7 @@ def scale() -> list[str]:
 def legend(words: str) -> list[str]:
     """Return a colour bar of 100 mm next to the scale, with the strains at decades."""
     # Stripes, since the PDF converter supports no gradients. Each extends under the next, so that no gap is visible.
-    shades = to_srgb(colours(np.arange(STRIPES), 0.0, STRIPES - 1.0))
-    inks = ["#" + bytes(np.rint(255.0 * shade).astype(np.uint8).tolist()).hex() for shade in shades]
-    wide = 100.0 / STRIPES
+    inks, wide = as_hex(colours(np.arange(STRIPES), 0.0, STRIPES - 1.0)), 100.0 / STRIPES
     decades = np.arange(round(np.log10(STRETCH[0])), round(np.log10(STRETCH[1])) + 1).tolist()
     marks = np.linspace(130.0, 230.0, len(decades)).tolist()
     return [
@@ -101,7 +96,9 @@ def export_pattern(source: Recording | Path | str, path: Path, frame: int | None
         for piece, corners, panels in garments:
             flat, width = _lay(corners, panels)
             height = max(height, float(flat[:, 1].max()))
-            painted = paint_triangles(piece, shown.x[piece.start : piece.stop], colour) if colour in WORDS else None
+            x, painted = shown.x[piece.start : piece.stop], None
+            if colour in WORDS:
+                painted = as_hex(paint_stretch(strains(piece, x)[colour]))
             elements.append(f'<g class="garment" transform="translate({start:.3f} 0)">')
             elements.append(text(piece.name, 0.0, -float(flat[:, 1].max()) - 6.0, 8.0))
             cloth = _cloth(piece, flat, corners, panels) if colour == "cloth" else None
@@ -140,17 +137,14 @@ def _cloth(piece: ShownPiece, flat: Float, corners: Corners, panels: Panels) -> 
     """Return the fill of each panel's outline: the print as an SVG element, else the colour."""
     if piece.image is None:
         return [piece.colour or PLAIN] * len(panels.names)
-    stream = io.BytesIO()
-    Image.fromarray(piece.image).save(stream, "PNG")
-    data = base64.b64encode(stream.getvalue()).decode()
-    fills = []
+    data, fills = as_url(piece.image), []
     for k, unit in enumerate(panels.unit.tolist()):
         corner = int(corners.faces[panels.of == k][0, 0])
         side = MM * unit
         x, y = flat[corner] - side * corners.points[corner].astype(np.float64)
         fills.append(
             f'<image x="{x:.3f}" y="{-y - side:.3f}" width="{side:.3f}" height="{side:.3f}" preserveAspectRatio="none" '
-            f'href="data:image/png;base64,{data}"/>'
+            f'href="{data}"/>'
         )
     return fills
 
@@ -173,10 +167,9 @@ def strains(piece: ShownPiece, x: Float) -> dict[str, Float]:
     return {"stretch": most - 1.0, "warp": np.sqrt(ww) - 1.0, "weft": np.sqrt(ff) - 1.0}
 
 
-def paint_triangles(piece: ShownPiece, x: Float, colour: str) -> list[str]:
-    """Return the colour "#rrggbb" of each triangle, by the colour scale of pictures."""
-    linear = paint_stretch(strains(piece, x)[colour])
-    return ["#" + bytes(row).hex() for row in np.round(255.0 * to_srgb(linear)).astype(np.uint8)]
+def as_hex(linear: Float) -> list[str]:
+    """Return colours of linear light (n, 3) as "#rrggbb"."""
+    return ["#" + bytes(row).hex() for row in np.rint(255.0 * to_srgb(linear)).astype(np.uint8)]
 
 
 def _lay(corners: Corners, panels: Panels) -> tuple[Float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from nuno.collision.bodies import build_bodies, surface
 from nuno.exports.camera import place_camera, read_view, z_up
-from nuno.exports.cloth import body_vertices, check_size, read_bodies, read_frame, read_pieces, shape_bodies
+from nuno.exports.cloth import as_png, body_vertices, check_size, read_bodies, read_frame, read_pieces, shape_bodies
 from nuno.output_files import Progress, check_target, write_png, writing
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
@@ -292,15 +291,11 @@ class Artist:
 
     def draw(self, frame: Frame) -> bytes:
         """Return a frame's picture as PNG. Raises BadInput for a frame that cannot be drawn."""
-        from PIL import Image
-
         if not np.isfinite(frame.x).all():
             raise BadInput(f"the positions of frame {frame.number} are not finite")
         worn = self.show(frame)
         self.camera = self.camera or find_camera(self.loaded.scene.view, worn, None)
-        stream = io.BytesIO()
-        Image.fromarray(self._picture(worn, frame, self.camera)).save(stream, format="PNG", optimize=True)
-        return stream.getvalue()
+        return as_png(self._picture(worn, frame, self.camera), optimize=True)
 
     def show(self, frame: Frame) -> Worn:
         """Return yarns, bodies and other cloth of a frame."""

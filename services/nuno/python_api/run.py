@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import io
 import os
 import shutil
 import sys
@@ -277,12 +275,12 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Return the last frame and the report as HTML, for a notebook."""
-        data = io.BytesIO()
-        self.picture().save(data, "PNG")
-        image = base64.b64encode(data.getvalue()).decode()
+        from nuno.exports.cloth import as_url
+
+        image = as_url(np.asarray(self.picture()))
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in lines(self.report))
         return (
-            f'<img alt="the last frame" style="max-width: 640px" src="data:image/png;base64,{image}">'
+            f'<img alt="the last frame" style="max-width: 640px" src="{image}">'
             f"<details><summary>{self.state} at {self.t:g} s</summary><table>{rows}</table></details>"
         )
 
