@@ -183,8 +183,7 @@ def disturb(problem: Problem) -> Float:
     moved = np.zeros((problem.fabric.number, 3))
     moved[problem.free] = np.random.default_rng(SEED).normal(size=(int(problem.free.sum()), 3))
     spread = np.sqrt((moved[problem.free] ** 2).sum(axis=1).mean())
-    result: Float = moved * (DISTURBANCE * problem.size / spread)
-    return result
+    return np.asarray(moved * (DISTURBANCE * problem.size / spread))
 
 
 def refer(problem: AnyProblem, budget: float, say: Callable[[str], None]) -> tuple[ReferenceRuns, Horizon]:

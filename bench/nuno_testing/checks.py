@@ -65,8 +65,7 @@ class Probe:
     def forces(self, x: Float, v: Float) -> Float:
         """Return the forces (n, 3) [N] at x, v (n, 3)."""
         forces = self.solver.forces(self.system, State(x.copy(), v.copy()), self.memory(), None)
-        newtons: Float = forces.acceleration * self.fabric.mass[:, None]
-        return newtons
+        return np.asarray(forces.acceleration * self.fabric.mass[:, None])
 
     def energy(self, x: Float) -> float | None:
         """Return the energy [J] at x (n, 3), None for a force without energy."""

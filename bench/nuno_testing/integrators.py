@@ -33,8 +33,7 @@ def solution(system: System, t: float) -> Float:
     """Return x(t) of the damped oscillator in closed form."""
     x, v = system.fabric.position, system.fabric.velocity
     half, rate = 0.5 * DAMPING, np.sqrt(OMEGA**2 - 0.25 * DAMPING**2)
-    position: Float = np.exp(-half * t) * (x * np.cos(rate * t) + (v + half * x) / rate * np.sin(rate * t))
-    return position
+    return np.asarray(np.exp(-half * t) * (x * np.cos(rate * t) + (v + half * x) / rate * np.sin(rate * t)))
 
 
 def exact_config(subject: Subject) -> Any:

@@ -145,8 +145,7 @@ def shade_yarn(v: Float, along: Float, near: Float, config: TextureConfig, yarn:
     if config.fibres:
         strands = strands * (1.0 - config.fibres * sum(draw_noise(k * line, yarn) for k in FIBRES) / len(FIBRES))
     dive = np.square(1.0 - np.clip(2.0 * (near - ROUND * v * v), 0.0, 1.0))
-    shade: Float = strands * (1.0 - config.relief * (1.0 - up)) * (1.0 - config.bend * dive)
-    return shade
+    return np.asarray(strands * (1.0 - config.relief * (1.0 - up)) * (1.0 - config.bend * dive))
 
 
 def draw_noise(x: Float, stream: Int | int) -> Float:
@@ -158,16 +157,14 @@ def draw_noise(x: Float, stream: Int | int) -> Float:
     u = x - low
     first = low.astype(np.int64)
     share = u * u * (3.0 - 2.0 * u)
-    noise: Float = (1.0 - share) * _hash(first, stream) + share * _hash(first + 1, stream)
-    return noise
+    return np.asarray((1.0 - share) * _hash(first, stream) + share * _hash(first + 1, stream))
 
 
 def _hash(number: NDArray[np.int64], stream: Int | int) -> Float:
     mixed: NDArray[np.int64] = (number * 0x9E3779B1 + np.asarray(stream, np.int64) * 0x85EBCA77) & 0xFFFFFFFF
     mixed = ((mixed ^ (mixed >> 15)) * 0x2C1B3C6D) & 0xFFFFFFFF
     mixed = ((mixed ^ (mixed >> 12)) * 0x297A2D39) & 0xFFFFFFFF
-    value: Float = ((mixed ^ (mixed >> 15)) & 0xFFFF) / 65535.0
-    return value
+    return np.asarray(((mixed ^ (mixed >> 15)) & 0xFFFF) / 65535.0)
 
 
 # Pictures of dyed yarns: each layer's colour from the dye in it, times the shade of its yarns.

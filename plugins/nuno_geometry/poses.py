@@ -49,8 +49,7 @@ def rotation_between(q0: Float, q1: Float) -> Float:
     v = np.where(w < 0.0, -v, v)
     sine = np.linalg.norm(v, axis=1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, np.abs(w))
-    turn: Float = v * np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
-    return turn
+    return np.asarray(v * np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0))
 
 
 def write_interval(moved: Frames, poses0: Poses, poses1: Poses) -> None:

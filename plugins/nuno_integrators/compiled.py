@@ -280,8 +280,7 @@ class Compiled(ABC):
 
     def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:
         """Return the velocity (3, n) by which contact was felt at the end of the last step: that of the state."""
-        v: Float = work.v
-        return v
+        return np.asarray(work.v)
 
     def unkicked(self, work: Any) -> Collection[str]:
         """Return the parts that feel the state's velocity, where others feel that of `felt_at`."""

@@ -138,8 +138,7 @@ Go = Callable[[int, int], None]
 
 def find_nonfinite(x: Float, v: Float) -> Bool:
     """Return whether the position or velocity of each vertex, x and v (3, n), is not finite, shape (n,)."""
-    nonfinite: Bool = np.logical_not(np.isfinite(x).all(axis=0) & np.isfinite(v).all(axis=0))
-    return nonfinite
+    return np.asarray(np.logical_not(np.isfinite(x).all(axis=0) & np.isfinite(v).all(axis=0)))
 
 
 def describe_nonfinite(fabric: Fabric, before: State, nonfinite: Bool, first: Bool, step: str) -> str:

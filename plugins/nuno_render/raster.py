@@ -317,8 +317,7 @@ def floor_depth(floor: Floor, size: tuple[int, int], offsets: NDArray[np.int64])
     x = np.arange(size[0])[:, None] + offsets[:, 0] / 256.0
     y = np.arange(size[1])[:, None] + offsets[:, 1] / 256.0
     rows, columns = (plane[1] * y + plane[2]).astype(np.float32), (plane[0] * x).astype(np.float32)
-    depth: NDArray[np.float32] = np.maximum(rows[:, None, :] + columns[None, :, :], np.float32(0.0))
-    return depth
+    return np.asarray(np.maximum(rows[:, None, :] + columns[None, :, :], np.float32(0.0)))
 
 
 NEAR = 1e-3

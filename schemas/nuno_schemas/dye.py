@@ -61,14 +61,12 @@ class Cells(Layers):
     @property
     def mobile_room(self) -> Float:
         """V_u = V_max P (1 - B), capacity for mobile dye (dye paper, equation 9), shape (2, ny, nx)."""
-        room: Float = self.v_max * self.porosity * (1.0 - self.resist)
-        return room
+        return np.asarray(self.v_max * self.porosity * (1.0 - self.resist))
 
     @property
     def fixed_room(self) -> Float:
         """V_d = (1 - P) V_max, capacity for fixed dye (equation 6), 0 outside fibre, shape (2, ny, nx)."""
-        room: Float = (1.0 - self.porosity) * self.v_max * self.fibre
-        return room
+        return np.asarray((1.0 - self.porosity) * self.v_max * self.fibre)
 
 
 @dataclass(frozen=True)

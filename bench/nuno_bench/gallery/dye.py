@@ -126,8 +126,7 @@ def undyed(name: str) -> Cells:
 
 
 def _draw(painter: DyePainter, run: DyeRun, view: DyeView = "all") -> Picture:
-    picture: Picture = painter.chosen.plugin.draw(painter.prepared, amount_seen(run.state.phi, run.state.fixed, view))
-    return picture
+    return np.asarray(painter.chosen.plugin.draw(painter.prepared, amount_seen(run.state.phi, run.state.fixed, view)))
 
 
 class Dyed(NamedTuple):
@@ -142,8 +141,7 @@ class Dyed(NamedTuple):
     def shown(self) -> Float:
         """(ny, nx) all dye of the upper yarns."""
         total = self.phi + self.fixed
-        upper: Float = np.where(self.cells.up[1], total[1], total[0])
-        return upper
+        return np.asarray(np.where(self.cells.up[1], total[1], total[0]))
 
 
 def contrast(dyed: Dyed) -> float:
@@ -239,8 +237,7 @@ def _correlate(shown: Float, warp: Float, part: Bool, reach: int) -> float:
 def crossings(values: Float, pitch: int) -> Float:
     """(ny / pitch, nx / pitch) means of values (ny, nx) over the crossings of yarns."""
     ny, nx = (n // pitch for n in values.shape)
-    means: Float = values[: ny * pitch, : nx * pitch].reshape(ny, pitch, nx, pitch).mean(axis=(1, 3))
-    return means
+    return np.asarray(values[: ny * pitch, : nx * pitch].reshape(ny, pitch, nx, pitch).mean(axis=(1, 3)))
 
 
 def _smooth(values: Float, reach: int = 1) -> Float:
@@ -250,8 +247,7 @@ def _smooth(values: Float, reach: int = 1) -> Float:
 
 def _near(values: Float, dyed: Dyed) -> Bool:
     x, y, _ = _around(values)
-    near: Bool = np.hypot(x, y) * dyed.pitch * dyed.cells.size < NEAR
-    return near
+    return np.asarray(np.hypot(x, y) * dyed.pitch * dyed.cells.size < NEAR)
 
 
 def _around(amount: Float) -> tuple[Float, Float, Float]:

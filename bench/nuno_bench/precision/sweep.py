@@ -135,8 +135,7 @@ def ran_away(run: Series, reference: Series, size: float) -> float | None:
 
 def _distances(run: Series, reference: Series) -> Float:
     """Return the root mean square distance at each of the run's frames, shape (f,)."""
-    distances: Float = np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1))
-    return distances
+    return np.asarray(np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1)))
 
 
 class Judgement(NamedTuple):

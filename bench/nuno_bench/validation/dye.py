@@ -252,8 +252,7 @@ def average_sources(n: int, theta: float) -> Float:
     """(n,) means of the closed form over n cells between the walls: of 2 m / l atan(tan(l x / 2) / tanh(theta / 2))."""
     half = 0.5 * math.pi * np.arange(n + 1) / n
     whole = 2.0 * MEAN * n / math.pi * np.arctan2(np.sin(half), np.cos(half) * math.tanh(0.5 * theta))
-    means: Float = np.diff(whole)
-    return means
+    return np.asarray(np.diff(whole))
 
 
 def _spread_sources(plugin: Any, n: int, steps: int, down: bool) -> tuple[float, float]:

@@ -43,8 +43,7 @@ def read_shadow(path: Path, field: str) -> NDArray[np.bool_]:
             "the shadow reaches the picture's edge", field=field, value=str(path), limit="light all around the shadow",
             remedy="take the whole shadow into the picture, dark on light",
         )  # fmt: skip
-    filled: NDArray[np.bool_] = ndimage.binary_fill_holes(largest)
-    return filled
+    return np.asarray(ndimage.binary_fill_holes(largest))
 
 
 def _read_grey(path: Path, field: str) -> NDArray[np.uint8]:

@@ -39,8 +39,7 @@ class Rotation(Config):
         """Return the rotation matrix (3, 3), by Rodrigues' formula."""
         x, y, z = np.asarray(self.axis) / norm(np.asarray(self.axis))
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turn: Float = np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * compose(cross, cross)
-        return turn
+        return np.asarray(np.eye(3) + np.sin(self.angle) * cross + (1 - np.cos(self.angle)) * compose(cross, cross))
 
 
 class Attach(Config):

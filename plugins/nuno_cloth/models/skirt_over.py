@@ -101,8 +101,7 @@ def _wave_depths(outline: Float, phase: Float) -> tuple[Float, Float]:
 def _fall(flat: Float, step: float) -> Float:
     """Return the drop (rows - 1, columns) of each warp edge [m] that keeps the edge's length."""
     outwards = np.square(np.diff(flat, axis=0)).sum(axis=-1)
-    down: Float = np.sqrt(np.maximum(step**2 - outwards, (0.1 * step) ** 2))
-    return down
+    return np.asarray(np.sqrt(np.maximum(step**2 - outwards, (0.1 * step) ** 2)))
 
 
 END = 0.03

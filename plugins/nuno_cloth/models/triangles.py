@@ -132,5 +132,4 @@ def hinge_stiffness(material: Material, x: Float, edges: Edges, area: Float, war
     # An edge along the weft is folded across the warp: the warp yarns bend.
     across /= across.sum(axis=1)[:, None]
     rigidity = dot(across, np.array([material.bend_warp, material.bend_weft]))
-    k: Float = (rigidity * np.square(e).sum(1) / total)[edges.inner]
-    return k
+    return np.asarray((rigidity * np.square(e).sum(1) / total)[edges.inner])

@@ -102,8 +102,7 @@ def bend_leg(hip: Float, ankle: Float, thigh: float, shin: float, front: Float) 
     reach = (thigh**2 - shin**2 + far**2) / (2.0 * far)
     out = front - dot(front, unit) * unit
     out /= norm(out)
-    knee: Float = hip + reach * unit + math.sqrt(thigh**2 - reach**2) * out
-    return knee
+    return np.asarray(hip + reach * unit + math.sqrt(thigh**2 - reach**2) * out)
 
 
 class _Dancer:
@@ -116,8 +115,7 @@ class _Dancer:
 
     def circle(self, level: float, phase: float) -> Float:
         """Return the hips' offset (3,) from their middle [m]; flatter to the front than to the side."""
-        place: Float = level * self.config.amplitude * np.array([math.cos(phase), 0.0, 0.75 * math.sin(phase)])
-        return place
+        return np.asarray(level * self.config.amplitude * np.array([math.cos(phase), 0.0, 0.75 * math.sin(phase)]))
 
     def turns(self, level: float, phase: float) -> dict[str, Float]:
         """Return the rotation of the upper joints against their parents, at a level of the dance in [0, 1].

@@ -36,8 +36,7 @@ def multiply(p: Float, q: Float) -> Float:
 
 def invert(q: Float) -> Float:
     """Return the inverse of unit quaternions."""
-    inverse: Float = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return inverse
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def from_axis_angle(axis: Float, angle: float) -> Float:
@@ -69,8 +68,7 @@ def from_matrices(m: Float) -> Float:
         outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
     row = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(outer, row[..., None, None], axis=-2)[..., 0, :]
-    unit: Float = q / norm(q)[..., None]
-    return unit
+    return np.asarray(q / norm(q)[..., None])
 
 
 def slerp(p: Float, q: Float, s: float) -> Float:
@@ -84,8 +82,7 @@ def slerp(p: Float, q: Float, s: float) -> Float:
     left = np.where(near, 1.0 - s, np.sin((1.0 - s) * angle) / safe)
     right = np.where(near, s, np.sin(s * angle) / safe)
     mixed = left * p + right * q
-    unit: Float = mixed / norm(mixed)[..., None]
-    return unit
+    return np.asarray(mixed / norm(mixed)[..., None])
 
 
 def rest_positions(parents: Int, offsets: Float) -> Float:

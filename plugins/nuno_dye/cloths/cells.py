@@ -104,5 +104,4 @@ def _amounts(path: Path, name: str, values: Float, capacity: Float, formula: str
         index = tuple(np.argwhere(~fits)[0])
         most = f"{capacity[index[-3:]]:g} = {formula}"
         require_values(path, name, indexed, fits, "more dye than the cell can hold", most)
-    clipped: Float = np.minimum(values, capacity)
-    return clipped
+    return np.asarray(np.minimum(values, capacity))

@@ -182,8 +182,7 @@ LAB = np.array(
 
 def to_oklab(linear: Float) -> Float:
     """Return OKLab (..., 3) of linear light: lightness, green to red, blue to yellow (Ottosson 2020)."""
-    lab: Float = turn(LAB, np.cbrt(turn(LMS, linear)))
-    return lab
+    return np.asarray(turn(LAB, np.cbrt(turn(LMS, linear))))
 
 
 def find_up(warp: Bool, pixels: int) -> Bool:

@@ -67,15 +67,13 @@ def _in_layer(cells: Cells, axis: int) -> Float:
     tau3 = np.where(both_fibre, np.where(along_yarn, t.yarn, t.beside), np.where(both_gap, t.gap, t.rim))
     tau2 = np.where(both_fibre & (cells.up[near] != cells.up[far]), t.weave, 1.0)
     tau1 = 0.5 * (cells.twist[near] + cells.twist[far])
-    values: Float = _harmonic(cells.porosity[near], cells.porosity[far]) * tau1 * tau2 * tau3
-    return values
+    return np.asarray(_harmonic(cells.porosity[near], cells.porosity[far]) * tau1 * tau2 * tau3)
 
 
 def _harmonic(a: Float, b: Float) -> Float:
     """Return the harmonic mean, 0 if either is 0."""
     total = a + b
-    mean: Float = np.divide(2.0 * a * b, total, out=np.zeros(np.shape(total)), where=total > 0.0)
-    return mean
+    return np.asarray(np.divide(2.0 * a * b, total, out=np.zeros(np.shape(total)), where=total > 0.0))
 
 
 # Diffusion that slows down with the amount of dye: D = D0 P T g, g = min(cap, phi0 / phi) (dye paper, equation 4).

@@ -226,8 +226,7 @@ def _draw_out(values: Float, cells: int) -> Float:
     edges = np.minimum(np.arange(cells + 1) * (m / cells), m)
     low = np.minimum(np.searchsorted(nodes, edges, side="right"), len(nodes) - 1) - 1
     into = (edges - nodes[low])[:, None]
-    means: Float = np.diff(total[low] + into * (first[low] + 0.5 * into * slope[low]), axis=0) * (cells / m)
-    return means
+    return np.asarray(np.diff(total[low] + into * (first[low] + 0.5 * into * slope[low]), axis=0) * (cells / m))
 
 
 def _read_pixels(image: Any) -> tuple[Float, Float | float]:

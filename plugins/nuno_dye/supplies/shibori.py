@@ -131,8 +131,7 @@ def _pleat(one: Pleats, u: Float, v: Float, box: Float, half: float) -> tuple[Fl
 
 def _accordion(x: Float, width: float) -> Float:
     """Return places mirrored onto the first pleat."""
-    folded: Float = width - np.abs(x % (2.0 * width) - width)
-    return folded
+    return np.asarray(width - np.abs(x % (2.0 * width) - width))
 
 
 def _fold_up(one: Triangles, u: Float, v: Float, box: Float, half: float) -> tuple[Float, Float, Float, float]:
@@ -226,8 +225,7 @@ Pattern = Annotated[Rings | Stripes | Squares | Seigaiha, Field(discriminator="p
 def fold(x: Float, length: float, panels: int) -> Float:
     """Return where places x [m] of a cloth of this length are in its first panel, once it is folded."""
     panel = length / panels
-    folded: Float = panel - np.abs(x % (2.0 * panel) - panel)
-    return folded
+    return np.asarray(panel - np.abs(x % (2.0 * panel) - panel))
 
 
 def draw_pattern(

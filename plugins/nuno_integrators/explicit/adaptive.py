@@ -219,8 +219,7 @@ class Tableau:
     @cached_property
     def position_errors(self) -> Float:
         """Return the weights (1 or 2, stages) of the position error's estimate."""
-        used: Float = self.errors @ self.a[: self.stages, : self.stages]
-        return used
+        return np.asarray(self.errors @ self.a[: self.stages, : self.stages])
 
     @cached_property
     def polynomial(self) -> tuple[float, ...]:
@@ -237,8 +236,7 @@ class Tableau:
 
 def _dopri5_output(theta: float) -> Float:
     powers = theta ** np.arange(1, 5)
-    weights: Float = powers @ np.ascontiguousarray(RK45.P.T)
-    return weights
+    return np.asarray(powers @ np.ascontiguousarray(RK45.P.T))
 
 
 def _dop853_output(theta: float) -> Float:

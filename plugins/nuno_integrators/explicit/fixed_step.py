@@ -256,8 +256,7 @@ class RK4(Explicit):
         """Return exp(A dt) to fourth order."""
         h = dt * np.array([[0.0, 1.0], [-omega * omega, -damping]])
         one = np.eye(2)
-        result: Float = one + h @ (one + h / 2.0 @ (one + h / 3.0 @ (one + h / 4.0)))
-        return result
+        return np.asarray(one + h @ (one + h / 2.0 @ (one + h / 3.0 @ (one + h / 4.0))))
 
 
 class RK4Printed(RK4):

@@ -262,5 +262,4 @@ class TRBDF2(Implicit):
         inverse = np.linalg.inv(one - g * rate)
         middle = inverse @ (one + g * rate)
         near = 1.0 / (GAMMA * (2.0 - GAMMA))
-        result: Float = inverse @ (near * middle - (near - 1.0) * one)
-        return result
+        return np.asarray(inverse @ (near * middle - (near - 1.0) * one))

@@ -218,8 +218,7 @@ def encode_picture(png: bytes, t: float) -> bytes:
 
     seconds, nanos = divmod(round(t * 1e9), 10**9)
     stamp = messages.Timestamp(sec=seconds, nsec=nanos)
-    image: bytes = messages.CompressedImage(timestamp=stamp, frame_id="camera", data=png, format="png").encode()
-    return image
+    return bytes(messages.CompressedImage(timestamp=stamp, frame_id="camera", data=png, format="png").encode())
 
 
 def decode_picture(payload: bytes) -> bytes:

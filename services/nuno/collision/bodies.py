@@ -218,8 +218,7 @@ def vertex_normals(x: Float, faces: Int) -> Float:
     twice = (u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))  # the cross product, by axes
     normal = np.stack([np.bincount(corners, np.repeat(area, 3), len(x)) for area in twice], axis=1)
     size = np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2)
-    unit: Float = normal / np.where(size > 0.0, size, 1.0)[:, None]
-    return unit
+    return np.asarray(normal / np.where(size > 0.0, size, 1.0)[:, None])
 
 
 def outlines(faces: Int) -> list[list[int]]:

@@ -122,8 +122,7 @@ def _places(segment: Float, triangle: Float) -> Float:
     above, below = (((segment[:, end] - a) * normal).sum(axis=1) for end in (0, 1))
     difference = above - below
     share = np.divide(above, difference, out=np.full(len(difference), 0.5), where=difference != 0.0)
-    place: Float = segment[:, 0] + share[:, None] * (segment[:, 1] - segment[:, 0])
-    return place
+    return np.asarray(segment[:, 0] + share[:, None] * (segment[:, 1] - segment[:, 0]))
 
 
 # Pairs of near edges and triangles of a cloth, by boxes of both in the cells of a grid.

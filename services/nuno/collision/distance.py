@@ -417,8 +417,7 @@ def _above(p: Float, triangle: Float) -> Float:
     inside = size > 0.0
     for start, end in ((a, b), (b, c), (c, a)):
         inside &= _dot(np.cross(end - start, p - start), normal) >= 0.0
-    above: Float = np.divide(np.abs(_dot(p - a, normal)), size, out=np.full(len(p), np.inf), where=inside)
-    return above
+    return np.asarray(np.divide(np.abs(_dot(p - a, normal)), size, out=np.full(len(p), np.inf), where=inside))
 
 
 def _across(one: Float, two: Float) -> float:

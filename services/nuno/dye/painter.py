@@ -85,8 +85,7 @@ class DyePainter:
         except (TypeError, ValueError, OverflowError) as error:
             raise BadMessage(f"amounts at no time: {error}") from None
         amounts = amount_seen(arrays["phi"], arrays["fixed"], self.look.view)
-        picture: Picture = self.chosen.plugin.draw(self.prepared, amounts)
-        return picture
+        return np.asarray(self.chosen.plugin.draw(self.prepared, amounts))
 
     def _scale(self, window: Window) -> int:
         height, width = window.bottom - window.top, window.right - window.left
@@ -129,8 +128,7 @@ class DyeSketch:
             table = np.stack([np.interp(STEPS, (0.0, 0.5, 1.0), ends[:, k]) for k in range(3)], axis=1)
             table /= 1.0 if light.ndim == 1 else np.maximum(ends[0], 1e-6)
             light = light * table[np.clip(255.0 * amount / (dye.full * self._full), 0.0, 255.0).astype(np.uint8)]
-        picture: Picture = SRGB[np.minimum(4095.0 * light, 4095.0).astype(np.uint16)]
-        return picture
+        return np.asarray(SRGB[np.minimum(4095.0 * light, 4095.0).astype(np.uint16)])
 
 
 def check_picture(loaded: Loaded, cells: Cells) -> None:

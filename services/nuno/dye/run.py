@@ -362,8 +362,7 @@ def resist_around(phi: Float, cells: Cells, before: Float, after: Float) -> Floa
     free = np.ones_like(room)
     np.divide(most, room, out=free, where=most > 0.0)
     np.subtract(1.0, free * (1.0 + MARGIN) + MARGIN, out=free, where=most > 0.0)
-    covered: Float = np.where(after > before, np.maximum(cells.resist, np.clip(free, 0.0, after)), cells.resist)
-    return covered
+    return np.asarray(np.where(after > before, np.maximum(cells.resist, np.clip(free, 0.0, after)), cells.resist))
 
 
 # The plan of a dyeing, for `nuno plan`: size, step, and cost estimated from a frame.

@@ -60,8 +60,7 @@ def _entity(shape: Shape, frame: str, at: int) -> bytes:
 
 
 def _number(message: str, field: str) -> int:
-    number: int = foxglove_class(f"foxglove.{message}").DESCRIPTOR.fields_by_name[field].number
-    return number
+    return int(foxglove_class(f"foxglove.{message}").DESCRIPTOR.fields_by_name[field].number)
 
 
 def _field(message: str, field: str, value: bytes) -> bytes:
@@ -90,8 +89,7 @@ def encode_points(x: Float, colours: Float, frame: str, at: int) -> bytes:
     for i, name in enumerate(names):
         offset, number = (4 * i, kind.Float32) if i < 3 else (9 + i, kind.Uint8)
         cloud.fields.add(name=name, offset=offset, type=int(number))
-    encoded: bytes = cloud.SerializeToString()
-    return encoded
+    return bytes(cloud.SerializeToString())
 
 
 def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
@@ -106,15 +104,13 @@ def encode_turns(turns: Sequence[Turn], at: int) -> bytes:
                 rotation=messages.Quaternion(x=x, y=y, z=z, w=w),
             )
         )  # fmt: skip
-    encoded: bytes = messages.FrameTransforms(transforms=transforms).encode()
-    return encoded
+    return bytes(messages.FrameTransforms(transforms=transforms).encode())
 
 
 def encode_event(event: Event, at: int) -> bytes:
     """Encode an event as a foxglove.Log."""
     level = LEVELS.get(event.kind, messages.LogLevel.Info)
-    encoded: bytes = messages.Log(timestamp=_stamp(at), level=level, message=event.message, name=event.service).encode()
-    return encoded
+    return bytes(messages.Log(timestamp=_stamp(at), level=level, message=event.message, name=event.service).encode())
 
 
 def _stamp(at: int) -> messages.Timestamp:

@@ -310,5 +310,4 @@ class Artist:
     def _picture(self, worn: Worn, frame: Frame, camera: Camera) -> np.ndarray:
         colours = [piece.colour for piece in self.pieces if piece.colour]
         config = captioned(self.chosen, self.loaded.scene.name, frame.t, colours)
-        picture: np.ndarray = self.chosen.plugin.draw(config, worn, camera)
-        return picture
+        return np.asarray(self.chosen.plugin.draw(config, worn, camera))

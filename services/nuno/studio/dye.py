@@ -123,8 +123,7 @@ def simplified(points: Float, off: float) -> Float:
         if (most := int(away.argmax())) >= 0 and away[most] > off:
             keep[first + 1 + most] = True
             spans += [(first, first + 1 + most), (first + 1 + most, last)]
-    kept: Float = points[keep]
-    return kept
+    return np.asarray(points[keep])
 
 
 def put(text: str, item: str, file: str) -> str:
@@ -188,8 +187,7 @@ def laid_out(
     cloth = Image.new("F", (nx * fine, ny * fine))
     cloth.paste(drawn, (round(place[0] / pixel - wide / 2), round(place[1] / pixel - high / 2)))
     share = np.asarray(cloth).reshape(ny, fine, nx, fine).mean(axis=(1, 3))
-    mask: NDArray[np.uint8] = np.rint(255.0 * share).astype(np.uint8)
-    return mask
+    return np.asarray(np.rint(255.0 * share).astype(np.uint8))
 
 
 # The dyed cloth of scenes at the start, laid flat for painting in the page.
@@ -257,8 +255,7 @@ class Flat:
             painter = self._painter = _Painter(settings, cells, prepared)
         cloth: Picture = plugin.draw(painter.prepared, amount_seen(phi, fixed))
         opacity = SHOWN * cells.resist.mean(axis=0).repeat(scale, 0).repeat(scale, 1)[:, :, None]
-        picture: Picture = np.rint((1.0 - opacity) * cloth + opacity * PASTE).astype(np.uint8)
-        return picture
+        return np.asarray(np.rint((1.0 - opacity) * cloth + opacity * PASTE).astype(np.uint8))
 
 
 _FLAT = Flat()

@@ -166,8 +166,7 @@ class Trials:
 
     def _distances(self, a: Float, b: Float) -> Float:
         """Return the root mean square distance (frames,) over the vertices [sizes]."""
-        distance: Float = np.sqrt(((a - b) ** 2).sum(axis=2).mean(axis=1)) / self.size
-        return distance
+        return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=2).mean(axis=1)) / self.size)
 
     def _cost(self, method: Method, steps: int) -> float:
         return float(self.system.fabric.number) * self.frames * steps * method.evaluations
