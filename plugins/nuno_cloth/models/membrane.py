@@ -15,14 +15,16 @@ at its ends. Shear moves both yarns, and has the sum of their S.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from nuno_cloth.fabrics.material import HandSet, Materials
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
-from nuno_cloth.models.bending_friction import build_friction
+from nuno_cloth.models.bending_friction import build_friction, bytes_of_friction
+from nuno_cloth.models.placement import STILL
 from nuno_cloth.models.triangles import Edges, hinge_stiffness, spring_stiffness, yarn_axes
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import (
@@ -31,12 +33,14 @@ from nuno_schemas.fabric import (
     Bending,
     BendingFriction,
     Bool,
+    Fabric,
     Float,
     Hinges,
     Int,
     Membrane,
     Springs,
 )
+from nuno_schemas.plugin import Files
 from nuno_schemas.vectors import face_areas
 
 # Elements of cloth of triangles: a measured fabric's membrane and bending, or springs with hinges.
@@ -62,6 +66,19 @@ class Elements(NamedTuple):
     membrane: Membrane | None = None
     bending: Bending | None = None
     friction: BendingFriction | None = None
+
+    def fabric(self, name: str, x: Float, held: Bool, velocity: Sequence[float] = STILL, **more: Any) -> Fabric:
+        """Return a fabric of these elements at x (n, 3) [m] with one velocity [m/s], and `more` of its fields."""
+        speed = np.tile(np.asarray(velocity, np.float64), (len(x), 1))
+        return Fabric(name=name, position=x, velocity=speed, pinned=held, **more, **self._asdict())
+
+
+class OfTriangles:
+    """A model of triangles, with a membrane or springs."""
+
+    def memory(self, config: Any, files: Files, vertices: int) -> int:
+        """Return the most memory that a run takes [bytes]."""
+        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
 
 def build_elements(

@@ -11,8 +11,7 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
-from nuno_cloth.models.bending_friction import bytes_of_friction
-from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.membrane import TENSION, OfTriangles, Tension, build_elements
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,
@@ -86,7 +85,7 @@ class MeshConfig(Config):
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
-class Mesh:
+class Mesh(OfTriangles):
     """A mesh with a measured fabric's membrane and bending, or with springs on the edges and hinges, or, for a fabric
     set by hand with `bending`, the wrinkle paper's springs between the two vertices opposite each inner edge.
     """
@@ -124,10 +123,6 @@ class Mesh:
             f"warp: it is normal to {share:.0%} of the cloth, where the yarns lie along {axis} instead: give another",
         )
 
-    def memory(self, config: MeshConfig, files: Files, vertices: int) -> int:
-        """Return the most memory that a run takes [bytes]."""
-        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
-
     def build(self, config: MeshConfig, files: Files, seed: int) -> Fabric:
         """Build the garment. Raises BadInput for a mesh that is empty, degenerate, not manifold, not oriented."""
         path = files.resolve(config.file)
@@ -145,17 +140,10 @@ class Mesh:
         warp = turn(matrix, np.asarray(config.warp))
         held = pin_mesh(config.pin, x, numbers if merged is None else merged)
         elements = build_elements(material, x, faces, edges, warp, tension=config.tension, held=held)
-        return Fabric(
-            name=self.name,
-            position=x,
-            velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
-            pinned=held,
-            texture=find_texture(config.texture, files),
-            merged=merged,
-            **lay_out(path, len(x), faces, uv, config.texture is not None),
-            origin=_bending_without_springs(material, edges),
-            **elements._asdict(),
-        )
+        more = lay_out(path, len(x), faces, uv, config.texture is not None)
+        more |= {"texture": find_texture(config.texture, files), "merged": merged}
+        origin = _bending_without_springs(material, edges)
+        return elements.fabric(self.name, x, held, config.velocity, origin=origin, **more)
 
 
 def _bending_without_springs(material: Material | HandSet, edges: Edges) -> dict[str, float]:

@@ -307,11 +307,7 @@ class Pattern(Wearable):
         if bands:
             springs, mass = springs_of(bands, elements.mass)
             elements = elements._replace(springs=springs, mass=mass)
-        return Fabric(
-            name=self.name, position=x, velocity=np.zeros_like(x), pinned=held,
-            corners=_corners(sewn),
-            texture=texture, **elements._asdict(),
-        )  # fmt: skip
+        return elements.fabric(self.name, x, held, corners=_corners(sewn), texture=texture)
 
     def check_pattern(self, files: Files, name: str, gather: float) -> Checked:
         """Check a sewing pattern before it is sewn: `gather` is the ratio of a seam's edges from which the check warns.

@@ -163,15 +163,8 @@ class Sheet:
         x = place(config, rows, cols)
         held = pin_grid(grid, config.pin)
         elements = build_grid(grid, lattice, material, x, config.cells, held)
-        return Fabric(
-            name=self.name,
-            position=x,
-            velocity=np.tile(np.asarray(config.velocity, np.float64), (grid.number, 1)),
-            pinned=held,
-            uv=texture_coordinates(np.linspace(0, 1, cols), rows),
-            texture=find_texture(config.texture, files),
-            **elements._asdict(),
-        )
+        uv, texture = texture_coordinates(np.linspace(0, 1, cols), rows), find_texture(config.texture, files)
+        return elements.fabric(self.name, x, held, config.velocity, uv=uv, texture=texture)
 
 
 def place(config: SheetConfig, rows: int, cols: int) -> Float:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, resolve
-from nuno_cloth.models.bending_friction import bytes_of_friction
-from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.membrane import TENSION, OfTriangles, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, Over, Wearable, find_texture, require_bare
 from nuno_cloth.models.shirt_pattern import Cut, Sewn, sew
 from nuno_cloth.models.triangles import Edges, find_edges
@@ -209,7 +208,7 @@ class ShirtConfig(Config):
     texture: str | None = Field(default=None, description=TEXTURE)
 
 
-class Shirt(Wearable):
+class Shirt(Wearable, OfTriangles):
     """A shirt with one texture on front and back, without a seam, u to the right as seen from in front."""
 
     name: ClassVar[str] = "shirt"
@@ -217,10 +216,6 @@ class Shirt(Wearable):
 
     def count(self, config: ShirtConfig, files: Files) -> int:
         return len(sewn_for(STANDARD, config)[1].flat)
-
-    def memory(self, config: ShirtConfig, files: Files, vertices: int) -> int:
-        """Return the most memory that a run takes [bytes]."""
-        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def build(self, config: ShirtConfig, files: Files, seed: int) -> Fabric:
         raise BadInput("a shirt is cut to a body", field="over", remedy="name a body whose collider is a mesh")
@@ -241,15 +236,8 @@ class Shirt(Wearable):
         down = np.array([0.0, 1.0, 0.0])
         elements = build_elements(material, sewn.flat, sewn.faces, edges, down, folded=True, tension=config.tension)
         position = dress(wearer, cut, fit, sewn, edges, config.over.clearance)
-        return Fabric(
-            name=self.name,
-            position=position,
-            velocity=np.zeros_like(position),
-            pinned=np.zeros(len(position), np.bool_),
-            uv=texture_of(sewn),
-            texture=find_texture(config.texture, files),
-            **elements._asdict(),
-        )
+        held, texture = np.zeros(len(position), np.bool_), find_texture(config.texture, files)
+        return elements.fabric(self.name, position, held, uv=texture_of(sewn), texture=texture)
 
 
 class Sizes(NamedTuple):

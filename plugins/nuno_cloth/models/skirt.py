@@ -20,9 +20,8 @@ from pydantic import BaseModel, Field, field_validator, model_validator
 
 from nuno_cloth.fabrics.constants import Lattice
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
-from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.grid import Grid
-from nuno_cloth.models.membrane import BYTES_PER_VERTEX, Elements, build_triangles
+from nuno_cloth.models.membrane import Elements, OfTriangles, build_triangles
 from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,
@@ -246,7 +245,7 @@ FINEST = 256
 """The fewest places round each row at which a ring's start is computed."""
 
 
-class Skirt(Wearable):
+class Skirt(Wearable, OfTriangles):
     """A ring of cloth; unstretched at the start, but for some per cent of shear that folds, and an
     elliptic waist, need.
     """
@@ -260,7 +259,7 @@ class Skirt(Wearable):
     def memory(self, config: SkirtConfig, files: Files, vertices: int) -> int:
         """Return the most memory that a run takes [bytes]."""
         if config.cut != "cone":
-            return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
+            return super().memory(config, files, vertices)
         return vertices * bytes_of_grid(config.cells, config.fabric)
 
     def build(self, config: SkirtConfig, files: Files, seed: int) -> Fabric:
@@ -370,16 +369,9 @@ class Skirt(Wearable):
         attach: Attach | None,
     ) -> Fabric:  # fmt: skip
         waist = np.flatnonzero(held).astype(np.int32)
-        return Fabric(
-            name=self.name,
-            position=x,
-            velocity=np.tile(np.asarray(config.velocity, np.float64), (len(x), 1)),
-            pinned=held,
-            corners=corners,
-            bindings=() if attach is None else (Binding(waist, attach.body, attach.frame),),
-            texture=find_texture(config.texture, files),
-            **elements._asdict(),
-        )
+        bindings = () if attach is None else (Binding(waist, attach.body, attach.frame),)
+        texture = find_texture(config.texture, files)
+        return elements.fabric(self.name, x, held, config.velocity, corners=corners, bindings=bindings, texture=texture)
 
 
 def _count_columns_of_ring(config: SkirtConfig) -> Int:

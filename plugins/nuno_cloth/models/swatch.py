@@ -12,9 +12,8 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
-from nuno_cloth.models.bending_friction import bytes_of_friction
 from nuno_cloth.models.delaunay import triangulate
-from nuno_cloth.models.membrane import BYTES_PER_VERTEX, TENSION, Tension, build_elements
+from nuno_cloth.models.membrane import TENSION, OfTriangles, Tension, build_elements
 from nuno_cloth.models.placement import TEXTURE, Over, Point, Rotation, Wearable, find_texture
 from nuno_cloth.models.triangles import find_edges
 from nuno_cloth.models.wearer import check_stance, find_wearer, require_outside
@@ -124,7 +123,7 @@ class SwatchConfig(Config):
         return self
 
 
-class Swatch(Wearable):
+class Swatch(Wearable, OfTriangles):
     """A swatch of a measured fabric. nuno_cloth.models.membrane gives it tension and bending."""
 
     name: ClassVar[str] = "swatch"
@@ -132,10 +131,6 @@ class Swatch(Wearable):
 
     def count(self, config: SwatchConfig, files: Files) -> int:
         return len(lay(config, 0)[0])
-
-    def memory(self, config: SwatchConfig, files: Files, vertices: int) -> int:
-        """Return the most memory that a run takes [bytes]."""
-        return vertices * (BYTES_PER_VERTEX + bytes_of_friction(config.fabric))
 
     def measures(self, config: SwatchConfig) -> Mapping[str, float | str]:
         """Return the measures of its fabric in SI, with `bend_bias`, `bend_twist` and the source. Raises BadInput for
@@ -182,15 +177,8 @@ class Swatch(Wearable):
         warp = turn(matrix, np.array([[np.cos(config.angle), 0.0, -np.sin(config.angle)]]))[0]
         elements = build_elements(material, x, faces, find_edges(faces), warp, tension=config.tension, held=held)
         low, high = flat.min(axis=0), flat.max(axis=0)
-        return Fabric(
-            name=self.name,
-            position=x,
-            velocity=np.zeros_like(x),
-            pinned=held,
-            uv=np.ascontiguousarray((flat - low) / (high - low).max(), np.float32),
-            texture=find_texture(config.texture, files),
-            **elements._asdict(),
-        )
+        uv = np.ascontiguousarray((flat - low) / (high - low).max(), np.float32)
+        return elements.fabric(self.name, x, held, uv=uv, texture=find_texture(config.texture, files))
 
 
 def lay(config: SwatchConfig, seed: int) -> tuple[Float, Int]:
