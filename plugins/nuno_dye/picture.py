@@ -208,22 +208,17 @@ def mix(amounts: Float, dyes: Sequence[DyeColour], v_max: float = 1.0, ground: F
     """
     if len(amounts) != len(dyes):
         raise BadInput("one colour a dye", field="colours", value=len(dyes), limit=f"{len(amounts)} dyes")
-    base = to_linear(_to_rgb(dyes[0].light)) if ground is None else ground
+    base = parse_hex(dyes[0].light) if ground is None else ground
     light = np.broadcast_to(base, (*amounts.shape[1:], 3)).copy()
     for amount, dye in zip(amounts, dyes, strict=True):
-        undyed = to_linear(_to_rgb(dye.light))
+        undyed = parse_hex(dye.light)
         # In a channel where undyed cloth is black, dye changes nothing.
         light *= np.divide(colour_of(amount, dye, v_max), undyed, out=np.ones_like(light), where=undyed > 0.0)
     return np.minimum(light, 1.0)
 
 
-def _to_rgb(text: str) -> Float:
-    return np.frombuffer(bytes.fromhex(text[1:]), np.uint8) / 255.0
-
-
 def _to_hsv(text: str) -> tuple[float, float, float]:
-    r, g, b = (float(channel) for channel in _to_rgb(text))
-    return colorsys.rgb_to_hsv(r, g, b)
+    return colorsys.rgb_to_hsv(*(channel / 255.0 for channel in bytes.fromhex(text[1:])))
 
 
 def _from_hsv(h: Float, s: Float, v: Float) -> Float:

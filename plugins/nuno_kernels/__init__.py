@@ -52,10 +52,7 @@ class _Quiet(event.Listener):  # type: ignore[misc]
             gc.enable()
 
 
-def compile_quietly() -> None:
-    """Suspend garbage collection in all of numba's compilations in this process."""
-    event.register("numba:compile", _Quiet())
-
+event.register("numba:compile", _Quiet())
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -80,7 +77,6 @@ def _cache_folder() -> Path:
 
 CACHE = _cache_folder()
 numba.config.CACHE_DIR = str(CACHE)
-compile_quietly()
 
 
 def kernel(function: F) -> F:

@@ -130,11 +130,6 @@ PRESETS: dict[str, YarnPreset] = {
 YarnName = Literal["nylon", "nylon-6", "elastane", "support"]
 
 
-def list_yarns() -> tuple[Preset, ...]:
-    """Return every preset, in units of scenes."""
-    return tuple(_preset(name, preset) for name, preset in PRESETS.items())
-
-
 def _preset(name: str, preset: YarnPreset) -> Preset:
     yarn = preset.yarn
     measures = (
@@ -214,8 +209,8 @@ class Knit:
         return vertices * BYTES_PER_POINT
 
     def yarns(self) -> tuple[Preset, ...]:
-        """Return the yarns that scenes may name."""
-        return list_yarns()
+        """Return the yarns that scenes may name, in units of scenes."""
+        return tuple(_preset(name, preset) for name, preset in PRESETS.items())
 
     def over(self, config: KnitConfig) -> str | None:
         """Return the name of the body that it is drawn over, or None."""

@@ -29,7 +29,6 @@ from nuno_geometry.poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_geometry.tree import Tree, make_room
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import FrameRoles, NewtonRoles, ReportRoles, StepRoles, over_blocks, register
-from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 64
@@ -198,11 +197,6 @@ def act_alone(slides: Slides, body: int) -> Slides:
     return slides._replace(clear=np.where(chosen, slides.clear, np.inf))
 
 
-def set_slide_poses(slides: Slides, poses0: Poses, poses1: Poses) -> None:
-    """Write the interval into `slides`, in place."""
-    write_interval(slides, poses0, poses1)
-
-
 def count_slides(slides: Slides) -> dict[str, int]:
     """Return the counts for a step report: vertices that touch after the last step, vertices put back so far."""
     touching, back = (int(total) for total in slides.tally.sum(axis=0))
@@ -213,7 +207,7 @@ register(
     Slides,
     name="slides",
     step=StepRoles(hold=hold_slides, slow=slow_slides),
-    frame=FrameRoles(begin=find_room, interval=set_slide_poses),
+    frame=FrameRoles(begin=find_room, interval=write_interval),
     newton=NewtonRoles(grip="nuno_contact.sliding.grip:Grip"),
     report=ReportRoles(alone=act_alone, unbalance="nuno_contact.sliding.grip:hold_forces", counts=count_slides),
 )

@@ -224,8 +224,7 @@ Pattern = Annotated[Rings | Stripes | Squares | Seigaiha, Field(discriminator="p
 
 def fold(x: Float, length: float, panels: int) -> Float:
     """Return where places x [m] of a cloth of this length are in its first panel, once it is folded."""
-    panel = length / panels
-    return np.asarray(panel - np.abs(x % (2.0 * panel) - panel))
+    return _accordion(x, length / panels)
 
 
 def draw_pattern(

@@ -193,7 +193,9 @@ def _garment(
         faces = corners.faces[which]
         lines.append(f'<g class="panel" data-name="{escape(name)}">')
         if painted is not None:
-            lines += [_triangle(flat[corners.faces[number]], painted[number]) for number in which.tolist()]
+            for number in which.tolist():
+                ink, places = painted[number], points(flat[corners.faces[number]])
+                lines.append(f'<polygon points="{places}" fill="{ink}" stroke="{ink}" stroke-width="0.15"/>')
         loops = [_without_slits(loop, corners.vertex, panels.pairs) for loop in outlines(faces)]
         path = " ".join(f"M{points(flat[loop])}Z" for loop in loops)
         if cloth is not None:
@@ -214,10 +216,6 @@ def _filled(cloth: str, path: str, clip: str) -> list[str]:
     if not cloth.startswith("<"):
         return [f'<path class="cloth" d="{path}" fill="{cloth}"/>']
     return [f'<clipPath id="{clip}"><path d="{path}"/></clipPath>', f'<g clip-path="url(#{clip})">{cloth}</g>']
-
-
-def _triangle(corners: Float, colour: str) -> str:
-    return f'<polygon points="{points(corners)}" fill="{colour}" stroke="{colour}" stroke-width="0.15"/>'
 
 
 def _without_slits(loop: list[int], vertex: Int, pairs: Int) -> list[int]:

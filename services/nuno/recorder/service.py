@@ -169,16 +169,15 @@ class Recorder:
         }
 
     def _drain(self, expected: dict[str, int]) -> None:
-        end = time.monotonic() + DRAIN_SECONDS
-        while time.monotonic() < end and any(self._accounted(topic) < number for topic, number in expected.items()):
+        end, counts = time.monotonic() + DRAIN_SECONDS, self._inbox.counts
+        # Messages are accounted for that arrived, or are lost since later ones arrived.
+        while time.monotonic() < end and any(
+            counts.received[topic] + counts.missing[topic] < number for topic, number in expected.items()
+        ):
             item = self._inbox.get(timeout=0.1)
             if isinstance(item, Message):
                 self.handle(item)
                 end = time.monotonic() + DRAIN_SECONDS
-
-    def _accounted(self, topic: str) -> int:
-        """Return the number of messages that arrived, or are lost since later ones arrived."""
-        return self._inbox.counts.received[topic] + self._inbox.counts.missing[topic]
 
     def _written(self, topic: str) -> int:
         """Return the number of this run's messages in the file."""

@@ -89,11 +89,6 @@ def note_end(run: str, outcome: Outcome) -> None:
     note(run, f"end: {outcome.state}", facts | frame | {"seconds": outcome.seconds}, level)
 
 
-def note_failure(run: str, state: str, reason: str) -> None:
-    """Log the end of a run without an outcome."""
-    note(run, f"end: {state}", {"state": state, "reason": reason}, logging.ERROR)
-
-
 class _Once(logging.StreamHandler[TextIO]):
     """A handler that reports only its first failure: the run needs its recording, not its log."""
 

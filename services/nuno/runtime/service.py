@@ -98,7 +98,8 @@ class Context:
         event = Event.model_validate(
             {"frame": frame, "t": t, "service": self.bus.service, "kind": kind, "text": text, "args": args}
         )
-        self.bus.publisher(_event_topic(self.bus.service)).put(event.model_dump_json().encode(), frame, t)
+        topic = Topic(f"{EVENT.name}/{self.bus.service}", EVENT.encoding, EVENT.schema)  # its own, which it numbers
+        self.bus.publisher(topic).put(event.model_dump_json().encode(), frame, t)
         return event
 
     def acknowledge(self, frame: int, t: float) -> None:
@@ -122,11 +123,6 @@ class Context:
         if inbox is not None:
             counts |= inbox.counts.nonzero()
         return counts
-
-
-def _event_topic(service: str) -> Topic:
-    """Return a service's own topic of events, which it numbers."""
-    return Topic(f"{EVENT.name}/{service}", EVENT.encoding, EVENT.schema)
 
 
 def ack_topic(service: str) -> Topic:

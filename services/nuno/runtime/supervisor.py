@@ -461,7 +461,8 @@ def _conduct(
         answers = supervisor.finish(error, lambda answers: report(outcome(answers)) if report else {})
     except KeyboardInterrupt as signal:
         state = state_of(signal)
-        log.note_failure(supervisor.run, state, f"{state} while its services ended")
+        facts = {"state": state, "reason": f"{state} while its services ended"}
+        log.note(supervisor.run, f"end: {state}", facts, logging.ERROR)
         raise
     result = outcome(answers)
     log.note_end(supervisor.run, result)
