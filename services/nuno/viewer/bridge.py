@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -79,48 +79,48 @@ class CrossingsView:
     distance of cloth from cloth as a curve, with a gap while it is more than the thickness.
     """
 
-    def __init__(self, recording: Any, paths: layout.Paths) -> None:
-        self.recording, self.paths = recording, paths
+    def __init__(self, entities: layout.Entities) -> None:
+        self.entities = entities
         self._shown: set[str] = set()
-        layout.log_names(recording, paths, "distance", ["least distance", "thickness"])
+        entities.name_curves("distance", ["least distance", "thickness"])
 
     def log(self, report: Penetration) -> None:
         """Log the report of the present frame."""
         values = {"least distance": math.nan if report.distance is None else 1000.0 * report.distance}
         if report.thickness:
             values["thickness"] = 1000.0 * report.thickness
-        layout.log_values(self.recording, self.paths, "distance", values)
+        self.entities.log_values("distance", values)
         crossings: dict[str, list[tuple[float, float, float]]] = {}
         labels: dict[str, str] = {}
         for place, pair in zip(report.places, report.objects, strict=True):
             one, other = sorted(pair)
-            path = self.paths.world("crossings", one, other)
+            path = self.entities.world("crossings", one, other)
             crossings.setdefault(path, []).append(place)
             labels[path] = f"{one} passes through {'itself' if one == other else other}"
         for path in self._shown - crossings.keys():
-            self.recording.log(path, rr.Clear(recursive=False), strict=True)
+            self.entities.log(path, rr.Clear(recursive=False))
         for path, places in crossings.items():
             points = rr.Points3D(
                 places, radii=rr.Radius.ui_points(POINT), colors=[PASSES], labels=[labels[path]], show_labels=True
             )
-            self.recording.log(path, points, strict=True)
+            self.entities.log(path, points)
         self._shown = set(crossings)
 
 
 class TouchesView:
     """Logs the points at which cloth touches bodies, and the force on the body at each as an arrow."""
 
-    def __init__(self, recording: Any, paths: layout.Paths) -> None:
-        self.recording, self.path = recording, paths.world("contact")
+    def __init__(self, entities: layout.Entities) -> None:
+        self.entities, self.path = entities, entities.world("contact")
         self._strongest = 0.0
 
     def log(self, places: Float, forces: Float) -> None:
         """Log touches at places (n, 3) [m] with forces (n, 3) [N]; the run's strongest so far is ARROW long."""
         self._strongest = max(self._strongest, float(np.linalg.norm(forces, axis=1).max(initial=0.0)))
         points = rr.Points3D(places, radii=rr.Radius.ui_points(0.5 * POINT), colors=[TOUCH])
-        self.recording.log(f"{self.path}/points", points, strict=True)
+        self.entities.log(f"{self.path}/points", points)
         arrows = rr.Arrows3D(origins=places, vectors=forces * (ARROW / (self._strongest or 1.0)), colors=[TOUCH])
-        self.recording.log(f"{self.path}/forces", arrows, strict=True)
+        self.entities.log(f"{self.path}/forces", arrows)
 
 
 BATCH = 32
@@ -136,7 +136,7 @@ class Bridge:
     images     reads a texture by its path; returns None if it cannot
     painter    draws the scene's dyed cloth; None for a scene without dye
     colour     what is seen first: cloth, or stretch; auto: as the view says
-    paths      entities of a run that is compared with others, which leaves the blueprint to the comparison
+    entities   those of a run that is compared with others, which leaves the blueprint to the comparison
     scales     colour scales of fields by name, which compared runs share
 
     Poses are logged in batches: `flush` logs the last ones. `feed` raises BadMessage for a
@@ -151,10 +151,10 @@ class Bridge:
         images: ReadImage = read_image,
         painter: DyePainter | None = None,
         colour: str = "auto",
-        paths: layout.Paths | None = None,
+        entities: layout.Entities | None = None,
         scales: dict[str, Scale] | None = None,
     ) -> None:
-        self.colour, self.paths = colour, paths or layout.Paths()
+        self.colour, self.entities = colour, entities or layout.Entities(recording)
         self.recording, self.view, self.live, self.images = recording, view or View(), live, images
         self.play: layout.Play = "following" if live else "playing"
         self.frames = 0
@@ -176,7 +176,7 @@ class Bridge:
         self.dyed: DyedCloth | None = None
         if painter is not None:
             wear = self._wear if painter.object is not None else None
-            self.dyed = DyedCloth(recording, painter, live, wear, self._arrange, self.paths)
+            self.dyed = DyedCloth(self.entities, painter, live, wear, self._arrange)
         self._energy: list[str] = []
         self._counts: list[str] = []
         self._raised: float | None = None
@@ -189,7 +189,7 @@ class Bridge:
         # Wall-clock timelines would make two conversions of one recording differ.
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
-        self._log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+        self.entities.log("/world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def _by_topic(self) -> dict[str, Callable[[bytes], None]]:
         """Return what handles the messages of each shown topic."""
@@ -255,10 +255,7 @@ class Bridge:
         path, visualizer = cloth.coloured_by(field)
         self.window.fields.setdefault(field, {})[path] = visualizer
         if first:
-            self._log(layout.legend(field), rr.Image(self.scales[field].legend()))
-
-    def _log(self, path: str, *what: Any, static: bool = False) -> None:
-        self.recording.log(path, *what, static=static, strict=True)
+            self.entities.log(layout.legend(field), rr.Image(self.scales[field].legend()))
 
     def _fabric(self, payload: bytes) -> None:
         arrays, text = decode_arrays(payload)
@@ -271,19 +268,19 @@ class Bridge:
         # Static data hide all later data of their entity: changed cloth has an entity of its own.
         version = self._fabrics.setdefault(hashlib.blake2b(payload).hexdigest(), len(self._fabrics))
         for piece in pieces:
-            path = self.paths.world("cloth", piece.name, *([str(version)] if version else []))
+            path = self.entities.world("cloth", piece.name, *([str(version)] if version else []))
             cloth = Cloth(self.recording, path, piece, self.images, self.scales, piece.name == self._dyed_object)
             self.cloths.append(cloth)
             if cloth.untextured:
                 text_of = f"the texture of {piece.name} cannot be read: {piece.texture}"
-                self._log(self.paths.page("log"), rr.TextLog(text_of, level="WARN"))
+                self.entities.tell(text_of, "WARN")
             for name in fields_of(piece):
                 self.offer(cloth, name)
         self.window.active = self._first_field()
         if self.dyed is not None and self.dyed.shown is not None:
             self._wear(self.dyed.shown)
         page = about(str(text.get("scene", "")), number, len(arrays["faces"]), self._speed)
-        self._log(self.paths.page("about"), rr.TextDocument(page, media_type="text/markdown"), static=True)
+        self.entities.show_page("about", page)
         self._arrange()
 
     def _first_field(self) -> str:
@@ -306,7 +303,7 @@ class Bridge:
             cloth.log(positions)
         if self._pinned.any():
             pins = rr.Points3D(positions[self._pinned], radii=rr.Radius.ui_points(0.5 * POINT), colors=[PIN])
-            self._log(self.paths.world("pins"), pins)
+            self.entities.log(self.entities.world("pins"), pins)
         self.frames += 1
 
     def _aim(self, positions: Float) -> None:
@@ -318,7 +315,7 @@ class Bridge:
 
     def _arrange(self) -> None:
         """Send the present blueprint; compared runs have one in common, which is sent at their end."""
-        if self._eye is None or self.paths.run:
+        if self._eye is None or self.entities.run:
             return
         self.window.dyes = self.dyed.names if self.dyed is not None else []
         self.recording.send_blueprint(layout.arrange(self._eye, self.window, self.play), make_active=True,
@@ -329,40 +326,29 @@ class Bridge:
         energy = list(status.energy)
         if energy != self._energy:
             self._energy = energy
-            self._name("energy", [*energy, "total"])
-            self._name("stretch", ["largest stretch"])
-            self._name("time", ["computing the frame"])
+            self.entities.name_curves("energy", [*energy, "total"])
+            self.entities.name_curves("stretch", ["largest stretch"])
+            self.entities.name_curves("time", ["computing the frame"])
         values = {name: layout.number(value) for name, value in status.energy.items()}
         if "gravitational" in values:
             if self._raised is None:
                 self._raised = values["gravitational"]
             values["gravitational"] -= self._raised
-        self._plot("energy", values | {"total": sum(values.values())})
-        self._plot("stretch", {"largest stretch": 100.0 * layout.number(status.stretch)})
-        self._plot("time", {"computing the frame": 1000.0 * status.step_seconds})
+        self.entities.log_values("energy", values | {"total": sum(values.values())})
+        self.entities.log_values("stretch", {"largest stretch": 100.0 * layout.number(status.stretch)})
+        self.entities.log_values("time", {"computing the frame": 1000.0 * status.step_seconds})
         if status.counts and list(status.counts) != self._counts:
             self._counts = list(status.counts)
-            self._name("counts", self._counts)
+            self.entities.name_curves("counts", self._counts)
             self.window.counted = True
             self._arrange()
-        self._plot("counts", status.counts)
-        self._log_message(status.message, status.state)
-
-    def _log_message(self, message: str, state: str) -> None:
-        if message:
-            level = "INFO" if state == "running" else "WARN"
-            self._log(self.paths.page("log"), rr.TextLog(message, level=level))
-
-    def _name(self, plot: str, curves: list[str]) -> None:
-        layout.log_names(self.recording, self.paths, plot, curves)
-
-    def _plot(self, plot: str, values: Mapping[str, float]) -> None:
-        layout.log_values(self.recording, self.paths, plot, values)
+        self.entities.log_values("counts", status.counts)
+        self.entities.tell_message(status)
 
     def _geometry(self, payload: bytes) -> None:
         self.flush()
-        self._bodies = BodiesView(self.recording, decode_geometry(payload), 1 if self.live else BATCH, self.paths)
-        self._name("penetration", ["deepest", "mean of those inside"])
+        self._bodies = BodiesView(self.entities, decode_geometry(payload), 1 if self.live else BATCH)
+        self.entities.name_curves("penetration", ["deepest", "mean of those inside"])
         self.window.bodies, self.window.ground = True, self._bodies.ground
         self._arrange()
 
@@ -377,10 +363,11 @@ class Bridge:
 
     def _penetration(self, payload: bytes) -> None:
         report = Penetration.model_validate_json(payload)
-        self._plot("penetration", {"deepest": 1000.0 * report.depth, "mean of those inside": 1000.0 * report.mean})
+        depths = {"deepest": 1000.0 * report.depth, "mean of those inside": 1000.0 * report.mean}
+        self.entities.log_values("penetration", depths)
         if report.crossings is not None:
             if self._crossings is None:
-                self._crossings = CrossingsView(self.recording, self.paths)
+                self._crossings = CrossingsView(self.entities)
                 self.window.meets = True
                 self._arrange()
             self._crossings.log(report)
@@ -389,9 +376,9 @@ class Bridge:
         felt = Contact.model_validate_json(payload).bodies
         if not self.window.felt:
             self.window.felt = True
-            self._name("contact", [one.body for one in felt])
+            self.entities.name_curves("contact", [one.body for one in felt])
             self._arrange()
-        self._plot("contact", {one.body: math.hypot(*one.force) for one in felt})
+        self.entities.log_values("contact", {one.body: math.hypot(*one.force) for one in felt})
 
     def _touch(self, payload: bytes) -> None:
         """Show touches of the newest frame, where its positions have come before."""
@@ -403,7 +390,7 @@ class Bridge:
         np.maximum.at(pressure, vertex, np.nan_to_num(np.asarray(arrays["pressure"], np.float64)))
         meshed = [cloth for cloth in self.cloths if cloth.meshed]
         if self._touches is None:
-            self._touches = TouchesView(self.recording, self.paths)
+            self._touches = TouchesView(self.entities)
             for cloth in meshed:
                 self.offer(cloth, "pressure")
             self._arrange()
@@ -423,7 +410,7 @@ class Bridge:
                 cloth.log_texture(picture)
 
     def _picture(self, payload: bytes) -> None:
-        self._log(layout.YARNS, rr.EncodedImage(contents=decode_picture(payload), media_type="image/png"))
+        self.entities.log(layout.YARNS, rr.EncodedImage(contents=decode_picture(payload), media_type="image/png"))
         if not self.window.pictures:
             self.window.pictures = True
             self._arrange()
@@ -434,10 +421,9 @@ class Bridge:
             # A paused run sends no more frames: the waiting one is the present one.
             self.dyed.flush()
         level = {"error": "ERROR", "warning": "WARN"}.get(event.kind, "INFO")
-        self._log(self.paths.page("log"), rr.TextLog(f"{event.service}: {event.message}", level=level))
+        self.entities.tell(f"{event.service}: {event.message}", level)
 
     def _report(self, payload: bytes) -> None:
         rows = recorded_lines(json.loads(payload))
         text = "\n".join(f"| {name} | {line.replace('|', '/')} |" for name, line in rows)
-        page = rr.TextDocument(f"| | |\n| --- | --- |\n{text}\n", media_type="text/markdown")
-        self._log(self.paths.page("report"), page, static=True)
+        self.entities.show_page("report", f"| | |\n| --- | --- |\n{text}\n")

@@ -197,23 +197,22 @@ GROUND = "#d3d6d9"
 class BodiesView:
     """Logs a scene's bodies: meshes at once, poses and vertices of skins in batches.
 
-    recording  the rerun stream
-    geometry   shapes of the bodies
-    batch      number of poses that are logged together: rerun takes 0.1 ms for a call, and
-               a skeleton has dozens of frames
-    paths      where its entities are
+    entities  where they are
+    geometry  shapes of the bodies
+    batch     number of poses that are logged together: rerun takes 0.1 ms for a call, and
+              a skeleton has dozens of frames
 
     Raises BadMessage for an inconsistent geometry.
     """
 
-    def __init__(self, recording: Any, geometry: Geometry, batch: int, paths: layout.Paths) -> None:
+    def __init__(self, entities: layout.Entities, geometry: Geometry, batch: int) -> None:
         number = len(geometry.frames)
         if len(geometry.frame) and not (geometry.frame.min() >= 0 and geometry.frame.max() < number):
             raise BadMessage(f"a primitive of a frame that is not among the {number}")
-        self.recording, self.batch = recording, batch
-        self.paths = [paths.world("bodies", *name.split("/", 1)) for name in geometry.frames]
+        self.recording, self.batch = entities.recording, batch
+        self.paths = [entities.world("bodies", *name.split("/", 1)) for name in geometry.frames]
         rigid = geometry.of_primitives(np.flatnonzero(geometry.kind != SKIN).tolist())
-        self.skins = [SkinView(recording, geometry, i, paths) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
+        self.skins = [SkinView(entities, geometry, i) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
         shown = surface(rigid)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
         for frame, path in enumerate(self.paths):
@@ -221,7 +220,7 @@ class BodiesView:
             if part.any():
                 triangles = (np.cumsum(part) - 1)[faces[part[faces[:, 0]]]]
                 colour = GROUND if (rigid.kind[rigid.frame == frame] == PLANE).all() else BODY
-                recording.log(path, solid(vertices[part], triangles, colour), static=True, strict=True)
+                entities.log(path, solid(vertices[part], triangles, colour), static=True)
         self.ground = bool((rigid.kind == PLANE).any())
         """Whether any of them is a plane, which is drawn as the ground."""
         # Planes are infinite, and are not fitted into view.
@@ -279,19 +278,18 @@ class BodiesView:
 class SkinView:
     """Logs a skin's triangles at once, and its vertices in batches.
 
-    recording  the rerun stream
-    geometry   shapes of the bodies, with the skin `primitive`
-    paths      where its entity is
+    entities  where it is
+    geometry  shapes of the bodies, with the skin `primitive`
     """
 
-    def __init__(self, recording: Any, geometry: Geometry, primitive: int, paths: layout.Paths) -> None:
-        self.recording, self.geometry, self.primitive = recording, geometry, primitive
+    def __init__(self, entities: layout.Entities, geometry: Geometry, primitive: int) -> None:
+        self.recording, self.geometry, self.primitive = entities.recording, geometry, primitive
         self.faces = geometry.mesh(primitive)[1]
-        self.path = paths.world("bodies", geometry.bodies[geometry.body[primitive]], "skin")
+        self.path = entities.world("bodies", geometry.bodies[geometry.body[primitive]], "skin")
         mesh = rr.Mesh3D.from_fields(
             triangle_indices=self.faces.astype(np.uint32), albedo_factor=int(pack(parse_hex(BODY))[0])
         )
-        recording.log(self.path, mesh, static=True, strict=True)
+        entities.log(self.path, mesh, static=True)
 
     def at(self, poses: Poses) -> Float:
         """Return its vertices, shape (n, 3) [m]."""

@@ -17,12 +17,11 @@ from nuno.bus.encodings import BadMessage, decode_arrays
 from nuno.exports.cloth import read_texture
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
-from nuno.scene.recorded_scene import restored_scene
 from nuno.viewer import layout
 from nuno.viewer.bridge import Bridge
-from nuno.viewer.dyed import DyedCloth, viewer_painter
+from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.fields import QUANTITIES, Scale
-from nuno.viewer.file import RrdFile, measure_scales, subject_of
+from nuno.viewer.file import RrdFile, measure_scales, recorded_painter, subject_of
 from nuno.viewer.stream import APPLICATION, Subject
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -70,7 +69,9 @@ def compare(recordings: Sequence[Recording], path: Path, over: bool = False, col
     with ExitStack() as stack:
         file = stack.enter_context(RrdFile(path, together(recordings)))
         compared = [
-            Compared(name, recording, _bridge(file, layout.Paths(name, tone), recording, stack, scales, colour))
+            Compared(
+                name, recording, _bridge(layout.Entities(file.recording, name, tone), recording, stack, scales, colour)
+            )
             for name, recording, tone in zip(names, recordings, itertools.cycle(layout.CURVES))
         ]
         for recording in recordings:
@@ -116,14 +117,11 @@ def _kind(recording: Recording) -> str | None:
 
 
 def _bridge(
-    file: RrdFile, paths: layout.Paths, recording: Recording, stack: ExitStack, scales: dict[str, Scale], colour: str
+    entities: layout.Entities, recording: Recording, stack: ExitStack, scales: dict[str, Scale], colour: str
 ) -> Bridge:
-    painter = None
-    if recording.scene.get("dye"):
-        painter = viewer_painter(stack.enter_context(restored_scene(recording)))
     return Bridge(
-        file.recording, subject_of(recording).view, images=lambda texture: read_texture(recording, texture),
-        painter=painter, colour=colour, paths=paths, scales=scales,
+        entities.recording, subject_of(recording).view, images=lambda texture: read_texture(recording, texture),
+        painter=recorded_painter(recording, stack), colour=colour, entities=entities, scales=scales,
     )  # fmt: skip
 
 
@@ -151,7 +149,7 @@ def _log_all(compared: Sequence[Compared], over: bool) -> None:
 
 def _tint(one: Compared) -> None:
     """Give all cloth of a recording the colour of its curves."""
-    colour = rr.Mesh3D.from_fields(albedo_factor=[*(one.bridge.paths.colour or ()), 255])
+    colour = rr.Mesh3D.from_fields(albedo_factor=[*(one.bridge.entities.colour or ()), 255])
     for cloth in one.bridge.cloths:
         if cloth.meshed:
             one.bridge.recording.log(cloth.path, colour, static=True)
@@ -167,12 +165,12 @@ def _log_difference(first: Compared, one: Compared) -> None:
     bridge, apart = one.bridge, np.linalg.norm(y - x, axis=1)
     if not bridge.window.apart:
         bridge.window.apart = True
-        layout.log_names(bridge.recording, bridge.paths, DIFFERENCE, ["largest", "root mean square"])
+        bridge.entities.name_curves(DIFFERENCE, ["largest", "root mean square"])
         for cloth in bridge.cloths:
             if cloth.meshed:
                 bridge.offer(cloth, DIFFERENCE)
     values = {"largest": 1e3 * float(apart.max()), "root mean square": 1e3 * float(np.sqrt((apart**2).mean()))}
-    layout.log_values(bridge.recording, bridge.paths, DIFFERENCE, values)
+    bridge.entities.log_values(DIFFERENCE, values)
     for cloth in bridge.cloths:
         if cloth.meshed:
             cloth.log_field(DIFFERENCE, apart[cloth.piece.start : cloth.piece.stop])
@@ -206,12 +204,12 @@ def _arrange_cloth(file: RrdFile, compared: Sequence[Compared], over: bool) -> A
         offset = np.zeros(3) if over or one is compared[0] else (shift - low) * right
         shift = high + float(offset @ right) + GAP * (high - low)
         stages.append(stage + offset)
-        place, above = one.bridge.paths.world(), 0.5 * (stage.min(axis=0) + stage.max(axis=0))
+        place, above = one.bridge.entities.world(), 0.5 * (stage.min(axis=0) + stage.max(axis=0))
         above[1] = stage[:, 1].max() + 0.05 * (high - low)
         file.recording.log(place, rr.Transform3D(translation=offset), static=True, strict=True)
         if not over:
             label = rr.Points3D(
-                [above], radii=0.0, labels=[one.name], show_labels=True, colors=[one.bridge.paths.colour]
+                [above], radii=0.0, labels=[one.name], show_labels=True, colors=[one.bridge.entities.colour]
             )
             file.recording.log(f"{place}/name", label, static=True, strict=True)
         window.runs.append(one.name)
@@ -221,7 +219,7 @@ def _arrange_cloth(file: RrdFile, compared: Sequence[Compared], over: bool) -> A
         for name, paths in own.fields.items():
             window.fields.setdefault(name, {}).update(paths)
         if over and one is not compared[0]:
-            window.hidden.append(one.bridge.paths.world("bodies"))
+            window.hidden.append(one.bridge.entities.world("bodies"))
     if DIFFERENCE in window.fields and over:
         # Here the first recording's cloth would lie over the colours.
         window.fields[DIFFERENCE] |= {

@@ -6,7 +6,6 @@ import io
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -39,25 +38,23 @@ REACHED = 0.01
 class DyedCloth:
     """Logs pictures of dyed cloth, without repetitions, and curves of its amounts.
 
-    recording  the rerun stream
-    painter    draws the pictures; `every` of its scene's picture [s] is the time between two pictures
-    live       pictures may be skipped; `flush` shows the last of them
-    wear       logs a picture as the texture of the dyed object in the 3-D scene; None for dye alone, which has only
-               the picture
-    arrange    rearranges the window of the 3-D scene
-    paths      where its entities are
+    entities  where they are
+    painter   draws the pictures; `every` of its scene's picture [s] is the time between two pictures
+    live      pictures may be skipped; `flush` shows the last of them
+    wear      logs a picture as the texture of the dyed object in the 3-D scene; None for dye alone, which has only
+              the picture
+    arrange   rearranges the window of the 3-D scene
     """
 
     def __init__(
         self,
-        recording: Any,
+        entities: layout.Entities,
         painter: DyePainter,
         live: bool,
         wear: Callable[[Picture], None] | None,
         arrange: Callable[[], None],
-        paths: layout.Paths,
     ) -> None:
-        self.recording, self.painter, self.live, self.paths = recording, painter, live, paths
+        self.entities, self.recording, self.painter, self.live = entities, entities.recording, painter, live
         self.every = painter.look.every or (0.0 if wear is None else painter.duration / TEXTURES)
         self.names: list[str] = []
         self.shown: Picture | None = None
@@ -86,18 +83,17 @@ class DyedCloth:
         if self._wear is None:
             arrays, text = decode_arrays(payload)
             names, full = list(text["dyes"]), float(text["v_max"])
-            layout.log_names(self.recording, self.paths, "front", names)
+            self.entities.name_curves("front", names)
             self._fronts = lambda amounts: dict(
                 zip(names, 1e3 * front_radii(amounts, full, self.painter.size), strict=True)
             )
-            page = about(str(text.get("scene", "")), self.painter, arrays["fibre"].shape)
-            self._log(self.paths.page("about"), rr.TextDocument(page, media_type="text/markdown"), static=True)
+            self.entities.show_page("about", about(str(text.get("scene", "")), self.painter, arrays["fibre"].shape))
             self._log_scale()
 
     def take_amounts(self, frame: int, t: float, payload: bytes) -> None:
         """Show a frame, now or later. Raises BadMessage."""
         if self._fronts is not None:
-            layout.log_values(self.recording, self.paths, "front", self._fronts(payload))
+            self.entities.log_values("front", self._fronts(payload))
         early = t < self._last + self.every * (1.0 - 1e-9)
         if early or (self.live and time.monotonic() < self._drawn + LIVE_SECONDS):
             self._waiting = frame, t, payload
@@ -115,27 +111,23 @@ class DyedCloth:
         if list(status.mobile) != self.names:
             self.names = list(status.mobile)
             for name in self.names:
-                layout.log_names(self.recording, self.paths, f"dye/{name}", AMOUNTS, WIDTHS)
+                self.entities.name_curves(f"dye/{name}", AMOUNTS, WIDTHS)
             self.arrange_window("following" if self.live else "playing")
         for name in self.names:
             mobile, fixed = (layout.number(amount.get(name)) for amount in (status.mobile, status.fixed))
             values = (layout.number(status.supplied.get(name)), mobile + fixed, mobile, fixed)
-            layout.log_values(self.recording, self.paths, f"dye/{name}", dict(zip(AMOUNTS, values, strict=True)))
+            self.entities.log_values(f"dye/{name}", dict(zip(AMOUNTS, values, strict=True)))
         if self._wear is None:
-            layout.log_values(self.recording, self.paths, "time", {TIME: 1000.0 * status.step_seconds})
-        if status.message:
-            self._log(
-                self.paths.page("log"),
-                rr.TextLog(status.message, level="INFO" if status.state == "running" else "WARN"),
-            )
+            self.entities.log_values("time", {TIME: 1000.0 * status.step_seconds})
+        self.entities.tell_message(status)
 
     def arrange_window(self, play: layout.Play) -> None:
         """Arrange the window once the dyes are known."""
         if self._wear is not None:
             self._arrange()
             return
-        layout.log_names(self.recording, self.paths, "time", [TIME])
-        if self.paths.run:  # compared runs have one blueprint in common
+        self.entities.name_curves("time", [TIME])
+        if self.entities.run:  # compared runs have one blueprint in common
             return
         blueprint = layout.arrange_dyed(self.names, self.painter.shape, self.duration, play)
         self.recording.send_blueprint(blueprint, make_active=True, make_default=True)
@@ -154,7 +146,7 @@ class DyedCloth:
         strips = rr.LineStrips2D(
             [bar, bar], colors=[[255, 255, 255], [30, 30, 30]], radii=[-4.0, -1.5], draw_order=10.0
         )
-        self._log(f"{self._picture}/scale", strips, static=True)
+        self.entities.log(f"{self._picture}/scale", strips, static=True)
         end = rr.Points2D(
             [bar[1]],
             radii=0.0,
@@ -163,11 +155,11 @@ class DyedCloth:
             show_labels=True,
             draw_order=11.0,
         )
-        self._log(f"{self._picture}/scale/length", end, static=True)
+        self.entities.log(f"{self._picture}/scale/length", end, static=True)
 
     @property
     def _picture(self) -> str:
-        return self.paths.page(layout.PICTURE)
+        return self.entities.page(layout.PICTURE)
 
     def _draw(self, frame: int, t: float, payload: bytes) -> None:
         self._waiting = None
@@ -179,11 +171,8 @@ class DyedCloth:
         if self._wear is not None:
             self._wear(picture)
         else:
-            self._log(self._picture, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
+            self.entities.log(self._picture, rr.EncodedImage(contents=_jpeg(picture), media_type="image/jpeg"))
         self.shown = picture
-
-    def _log(self, path: str, *what: Any, static: bool = False) -> None:
-        self.recording.log(path, *what, static=static, strict=True)
 
 
 def front_radii(payload: bytes, full: float, size: float) -> Float:

@@ -170,6 +170,11 @@ def subject_of(recording: Recording) -> Subject:
     return Subject(run=run, view=view, layout=application(recording.scene), properties=facts)
 
 
+def recorded_painter(recording: Recording, stack: ExitStack) -> DyePainter | None:
+    """Return the painter of a recording's dye, if any; the scene's files exist until the stack is closed."""
+    return viewer_painter(stack.enter_context(restored_scene(recording))) if recording.scene.get("dye") else None
+
+
 def measure_scales(recording: Recording, scales: Mapping[str, Scale]) -> None:
     """Widen colour scales to the values of a recording, at most SAMPLES frames of it. Raises BadInput."""
     count = recording.counts.get(STATE.name, 0)
@@ -188,10 +193,7 @@ def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
     stretch, or auto, as the scene's view says. Raises BadInput for a damaged recording.
     """
     with ExitStack() as stack:
-        painter = None
-        if recording.scene.get("dye"):  # the scene's files exist within this block
-            painter = viewer_painter(stack.enter_context(restored_scene(recording)))
-        subject = subject_of(recording)
+        painter, subject = recorded_painter(recording, stack), subject_of(recording)
         file = stack.enter_context(
             RerunFile(path, subject, lambda name: read_texture(recording, name), painter, colour)
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from nuno.viewer.fields import BACKGROUND, QUANTITIES, ordered
 from nuno_schemas.fabric import Float
+from nuno_schemas.messages import DyeStatus, Status
 from nuno_schemas.scene import View
 
 TIMELINE, DYE_TIMELINE, PICTURE = "sim_time", "dye_time", "picture"
@@ -104,14 +105,18 @@ class Window:
     hidden: list[str] = field(default_factory=list)
 
 
-class Paths:
-    """Entities of one recording; of a `run` that is compared with others below an entity of its name, with curves of
-    its `colour`.
+class Entities:
+    """Entities of one recording in the rerun stream `recording`; of a `run` that is compared with others below an
+    entity of its name, with curves of its `colour`.
     """
 
-    def __init__(self, run: str = "", colour: Sequence[int] | None = None) -> None:
-        self.run, self.colour = run, colour
+    def __init__(self, recording: Any, run: str = "", colour: Sequence[int] | None = None) -> None:
+        self.recording, self.run, self.colour = recording, run, colour
         self._run = [run] if run else []
+
+    def log(self, path: str, *what: Any, static: bool = False) -> None:
+        """Log something at the present time, or `static`. Raises an error for what rerun does not take."""
+        self.recording.log(path, *what, static=static, strict=True)
 
     def world(self, *parts: str) -> str:
         """Return the path of something in the scene."""
@@ -125,9 +130,34 @@ class Paths:
         """Return the path of the log, the report, the explanation, or the picture of dye."""
         return entity(name, *self._run)
 
-    def label(self, text: str) -> str:
-        """Return a curve's name."""
-        return ", ".join([text, *self._run])
+    def show_page(self, name: str, markdown: str) -> None:
+        """Set the text of the report or the explanation."""
+        self.log(self.page(name), rr.TextDocument(markdown, media_type="text/markdown"), static=True)
+
+    def tell(self, text: str, level: str) -> None:
+        """Add a line to the log."""
+        self.log(self.page("log"), rr.TextLog(text, level=level))
+
+    def tell_message(self, status: Status | DyeStatus) -> None:
+        """Add the message of a frame's status to the log, if it has one."""
+        if status.message:
+            self.tell(status.message, "INFO" if status.state == "running" else "WARN")
+
+    def name_curves(self, plot: str, curves: Sequence[str], widths: Sequence[float] = ()) -> None:
+        """Name and colour the curves of a plot, each an entity of its own: PLOT/CURVE; a curve named "total" is grey.
+        Those of compared runs have the run's colour, and are thinner after the first.
+        """
+        for i, name in enumerate(curves):
+            colour, width = TOTAL if name == "total" else CURVES[i % len(CURVES)], widths[i] if widths else 2.0
+            if self.colour is not None:
+                colour, width = list(self.colour), 2.0 if i == 0 or name == "total" else 1.0
+            series = rr.SeriesLines(names=", ".join([name, *self._run]), colors=colour, widths=width)
+            self.log(self.plot(*plot.split("/", 1), name), series, static=True)
+
+    def log_values(self, plot: str, values: Mapping[str, float]) -> None:
+        """Log the present value of each curve of a plot."""
+        for name, value in values.items():
+            self.log(self.plot(*plot.split("/", 1), name), rr.Scalars(value))
 
 
 def legend(field: str) -> str:
@@ -215,7 +245,7 @@ def arrange_dyed(dyes: list[str], shape: tuple[int, int], duration: float, play:
     pictures = [
         rrb.Spatial2DView(
             name=run or "Cloth",
-            origin=Paths(run).page(PICTURE),
+            origin=entity(*filter(None, (PICTURE, run))),
             background=rrb.Background(color=BACKGROUND),
             visual_bounds=rrb.VisualBounds2D(x_range=(0, shape[1]), y_range=(0, shape[0])),
         )
@@ -276,24 +306,6 @@ def set_time(recording: Any, frame: int, t: float) -> None:
 def entity(*parts: str) -> str:
     """Return a path in rerun of names with any characters."""
     return "/" + str(rr.new_entity_path(list(parts))).lstrip("/")
-
-
-def log_names(recording: Any, paths: Paths, plot: str, curves: Sequence[str], widths: Sequence[float] = ()) -> None:
-    """Name and colour the curves of a plot, each an entity of its own: PLOT/CURVE; a curve named "total" is grey. Those
-    of compared runs have the run's colour, and are thinner after the first.
-    """
-    for i, name in enumerate(curves):
-        colour, width = TOTAL if name == "total" else CURVES[i % len(CURVES)], widths[i] if widths else 2.0
-        if paths.colour is not None:
-            colour, width = list(paths.colour), 2.0 if i == 0 or name == "total" else 1.0
-        series = rr.SeriesLines(names=paths.label(name), colors=colour, widths=width)
-        recording.log(paths.plot(*plot.split("/", 1), name), series, static=True, strict=True)
-
-
-def log_values(recording: Any, paths: Paths, plot: str, values: Mapping[str, float]) -> None:
-    """Log the present value of each curve of a plot."""
-    for name, value in values.items():
-        recording.log(paths.plot(*plot.split("/", 1), name), rr.Scalars(value), strict=True)
 
 
 def number(value: float | None) -> float:
