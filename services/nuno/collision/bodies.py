@@ -9,7 +9,6 @@ import numpy as np
 
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, Skin, rotation_matrices
-from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.live import Live
 from nuno_schemas.plugin import BodyShape, Mover
@@ -43,13 +42,10 @@ def build_bodies(loaded: Loaded) -> Bodies:
     shapes: list[BodyShape] = []
     movers: list[Mover | None] = []
     for i, (collider, motion) in enumerate(zip(loaded.colliders, loaded.motions, strict=True)):
-        field = f"bodies[{i}].motion"
-        try:
+        with loaded.errors_at(f"bodies[{i}].motion"):
             mover = motion.plugin.prepare(motion.config, loaded.files) if motion else None
-            field = f"bodies[{i}].collider"
+        with loaded.errors_at(f"bodies[{i}].collider"):
             shape = collider.plugin.build(collider.config, mover, loaded.files)
-        except BadInput as error:
-            raise loaded.at(field, error) from None
         shapes.append(shape)
         movers.append(replace(mover, pose=shape.pose) if mover and shape.pose else mover)
     each = zip(loaded.scene.bodies, movers, shapes, strict=True)

@@ -135,7 +135,7 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
     """Raise BadInput, before a run, for a picture that could not be drawn after it."""
     painter = DyePainter(loaded)
     look = painter.look
-    try:
+    with loaded.errors_at("dye.picture"):
         if painter.object is not None and look.crop is not None:
             problem, remedy = "an object shows all of the cloth that dyes it", "leave crop out"
             raise BadInput(problem, field="crop", value=look.crop.model_dump(), remedy=remedy)
@@ -143,8 +143,6 @@ def check_picture(loaded: Loaded, cells: Cells) -> None:
         # The files that a plugin may need are the same for one cell as for all.
         plugin, config = painter.chosen.plugin, painter.chosen.config
         plugin.prepare(config, loaded.files, cells, painter.colours, Window(0, 1, 0, 1), 1)
-    except BadInput as error:
-        raise loaded.at("dye.picture", error) from None
 
 
 def read_layers(payload: bytes) -> tuple[Layers, float]:

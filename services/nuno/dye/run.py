@@ -41,10 +41,8 @@ each supply."""
 def estimate_memory(loaded: Loaded) -> tuple[int, int]:
     """Return the number of the cloth's cells, and the most memory of a run [bytes]. Raises BadInput."""
     cloth, dyes = loaded.dyed.cloth, loaded.dyed.said.dyes
-    try:
+    with loaded.errors_at("dye.cloth"):
         cells = int(cloth.plugin.count(cloth.config, loaded.files))
-    except BadInput as error:
-        raise loaded.at("dye.cloth", error) from None
     supplies = len(getattr(cloth.config, "supply", ()))
     return cells, cells * (BYTES_PER_CELL + supplies + len(dyes) * BYTES_PER_AMOUNT)
 
@@ -79,7 +77,7 @@ class DyeRun(Stepper):
         self.system = DyeSystem(self.cells, tuple(dyes), self.threads, leave=self.leave)
         self._keeping = self.system
         """The system with the supplies that are maintained now. Solvers cache results while the system is the same."""
-        try:
+        with loaded.errors_at("dye.solver"):
             self.limit = float(self._solver.plugin.limit(self._solver.config, self.system))
             frame = dye.speed / loaded.scene.frame_rate
             self.steps, self.dt = (
@@ -87,8 +85,6 @@ class DyeRun(Stepper):
             )
             supplies = Supplies(added, self.cells.mobile_room, self.dt, len(dye.dyes))
             self.memory = self._prepare(supplies)
-        except BadInput as error:
-            raise loaded.at("dye.solver", error) from None
         start = self.measure()
         if (kept := supplies.keep_ever()) is not None:
             self.measure(kept)
@@ -248,11 +244,9 @@ class DyeRun(Stepper):
         previous = self.loaded
         changed, field = extend(previous, item)
         cloth = changed.dyed.cloth
-        try:
+        with changed.errors_at("dye.cloth"):
             supplies = cloth.plugin.supplies(cloth.config, self.cells, self.names)
             resists = cloth.plugin.resists(cloth.config, self.cells, changed.files)
-        except BadInput as error:
-            raise changed.at("dye.cloth", error) from None
         kept = {name: getattr(previous, name) for name in ("file", "lines", "files", "overrides", "path")}
         loaded = replace(changed, **kept)
         if len(supplies) > len(self.supplies.entries):
@@ -288,12 +282,10 @@ def build_cloth(loaded: Loaded) -> tuple[Cells, DyeState, tuple[Supply, ...]]:
     number, size = estimate_memory(loaded)
     require_memory(loaded, "dye.cloth", number, "cells", size, "coarser: 2, larger cells, or fewer dyes")
     cloth, dyes = loaded.dyed.cloth, [one.name for one in loaded.dyed.said.dyes]
-    try:
+    with loaded.errors_at("dye.cloth"):
         plugin, config = cloth.plugin, cloth.config
         cells, state = plugin.build(config, loaded.files, loaded.scene.seed, dyes)
         return cells, state, plugin.supplies(config, cells, dyes)
-    except BadInput as error:
-        raise loaded.at("dye.cloth", error) from None
 
 
 # Supplies and resists that are added to a dyeing during its run.

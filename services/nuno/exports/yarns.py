@@ -283,11 +283,9 @@ class Artist:
             self.shapes = shape_bodies(self.bodies.geometry, self.bodies.poses(0.0))
         self.camera: Camera | None = None
         start = Frame(0, 0.0, "", np.asarray(self.fabric.position))
-        try:
+        with loaded.errors_at("view"):
             worn = self.show(start)
             self._picture(worn, start, replace(find_camera(loaded.scene.view, worn, None), size=TRIAL))
-        except BadInput as error:
-            raise loaded.at("view", error) from None
 
     def draw(self, frame: Frame) -> bytes:
         """Return a frame's picture as PNG. Raises BadInput for a frame that cannot be drawn."""

@@ -136,6 +136,14 @@ class Loaded:
             field = next((dotted(path) for path, text in texts if isinstance(text, str) and text in names), field)
         return located(error, self.file, self.lines, field)
 
+    @contextmanager
+    def errors_at(self, field: str) -> Iterator[None]:
+        """Place a BadInput of the `with` block at this field, as `at` does."""
+        try:
+            yield
+        except BadInput as error:
+            raise self.at(field, error) from None
+
 
 def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), named: str | None = None) -> Loaded:
     """Read, override and validate a scene file. Raises BadInput.

@@ -111,10 +111,8 @@ def arrange(loaded: Loaded, fabrics: list[Fabric], bodies: Surface | None) -> St
             held = np.ones(whole.number, np.bool_)
             held[objects[applied.object]] = False
             whole = replace(whole, pinned=whole.pinned | held)
-        try:
+        with loaded.errors_at(f"operations[{i}]"):
             moved = chosen.plugin.arrange(chosen.config, whole, objects, meet, thickness, bodies)
-        except BadInput as error:
-            raise loaded.at(f"operations[{i}]", error) from None
         fabrics = [replace(f, position=moved.position[a:b]) for f, (a, b) in zip(fabrics, pairwise(stops), strict=True)]
         facts.append({"operation": chosen.name, "object": applied.object or "", "facts": dict(moved.facts)})
     return Start(fabrics, facts)
@@ -247,10 +245,8 @@ def _build_models(
         except BadInput as error:
             raise with_doubts(loaded, f"objects[{i}].model", error) from None
         if spec.roughness and not rested:
-            try:
+            with loaded.errors_at(f"objects[{i}].roughness"):
                 fabric = roughen(fabric, spec.roughness, loaded.scene.seed + i)
-            except BadInput as error:
-                raise loaded.at(f"objects[{i}].roughness", error) from None
         if rested and not hasattr(model.plugin, "coarser"):
             fabric = replace(fabric, position=rested[i].x)
         fabrics.append(fabric)

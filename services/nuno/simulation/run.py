@@ -469,11 +469,9 @@ class Simulation(Stepper):
         for i in self._order():
             chosen, name = self.loaded.operations[i], scene.operations[i].object or names[0]
             before = earlier.setdefault((chosen.name, name), [])
-            try:
+            with self.loaded.errors_at(f"operations[{i}]"):
                 if hasattr(chosen.plugin, "require"):
                     chosen.plugin.require(chosen.config, self.parts()[names.index(name)], tuple(before))
-            except BadInput as error:
-                raise self.loaded.at(f"operations[{i}]", error) from None
             before.append(chosen.config)
 
     def _order(self) -> list[int]:
@@ -498,11 +496,9 @@ class Simulation(Stepper):
         names = [spec.name for spec in scene.objects]
         for i in self._order()[before : self.due(self.frame)]:
             name = scene.operations[i].object or names[0]
-            try:
+            with self.loaded.errors_at(f"operations[{i}]"):
                 if not arranges(self.loaded.operations[i].plugin):  # an arrangement is built into the cloth
                     self._alter(names.index(name), self.loaded.operations[i])
-            except BadInput as error:
-                raise self.loaded.at(f"operations[{i}]", error) from None
             self.applied += 1
         return self.applied > before
 

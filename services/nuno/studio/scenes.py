@@ -40,10 +40,8 @@ def check_named(loaded: Loaded) -> None:
     """Raise BadInput for a missing file, and for cloth on a missing body."""
     for chosen in loaded.chosen:
         for name in (text for field, text in texts_in(chosen.config.model_dump()) if field in FILES):
-            try:
+            with loaded.errors_at(chosen.field):
                 loaded.files.resolve(name)
-            except BadInput as error:
-                raise loaded.at(chosen.field, error) from None
     bodies = [body.name for body in loaded.scene.bodies]
     for i, model in enumerate(loaded.models):
         over, attach = drawn_over(model), getattr(model.config, "attach", None)
@@ -52,10 +50,8 @@ def check_named(loaded: Loaded) -> None:
         if attach is not None and attach.body not in bodies:
             # The error lists all frames, which are known only after building the bodies.
             frames = build_bodies(loaded).geometry.frames if bodies else ()
-            try:
+            with loaded.errors_at(f"objects[{i}].model.attach"):
                 frame_of(Binding(np.zeros(0, np.int32), attach.body, attach.frame), frames)
-            except BadInput as error:
-                raise loaded.at(f"objects[{i}].model.attach", error) from None
 
 
 MOST = 20
