@@ -9,7 +9,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -126,15 +126,13 @@ class RecordingWriter:
         self._last_whole = 0
         self._channels: dict[str, int] = {}
         self._latest = 0
-        try:
+        with self._failing():
             self._file = McapFile(self._stream)
             for name, fields in metadata.items():
                 self._file.add_metadata(name, fields)
             for name, data in attachments.items():
                 self._file.add_attachment(name, data)
             self._flush()
-        except OSError as error:
-            raise self._failure(error) from None
 
     def write(self, topic: str, header: Header, payload: bytes) -> None:
         """Add a message; messages older than half a second of wall time are flushed.
@@ -153,24 +151,20 @@ class RecordingWriter:
             log_time = max(log_time, self._latest)
         self._latest = max(self._latest, log_time)
         urgent = topic.startswith(EVENT.name)
-        try:
+        with self._failing():
             self._file.add_message(self._channel(kind), header.seq, log_time, time.time_ns(), payload)
             # An event may be the last message for a while (pause) or for good (an error).
             if urgent or self._file.pending >= CHUNK_BYTES or time.monotonic() - self._flushed > FLUSH_SECONDS:
                 self._flush()
-        except OSError as error:
-            raise self._failure(error) from None
         self.counts[topic] += 1
         self.bytes += len(payload)
         self.seconds += time.perf_counter() - start
 
     def show(self, topic: str, payload: bytes) -> None:
         """Add the messages for viewers of the last message, at its time. Raises RunFailed when the disk is full."""
-        try:
+        with self._failing():
             for shown in self._repeat(topic, self._latest, payload, self.bytes, self._file.repeated):
                 self._file.add_shown(shown, self._latest, time.time_ns())
-        except OSError as error:
-            raise self._failure(error) from None
 
     def flush_due(self) -> float:
         """Flush messages after half a second of wall time; return how long they may still wait [s], inf for none.
@@ -181,10 +175,8 @@ class RecordingWriter:
             left = self._flushed + FLUSH_SECONDS - time.monotonic()
             if left > 0.0:
                 return left
-            try:
+            with self._failing():
                 self._flush()
-            except OSError as error:
-                raise self._failure(error) from None
         return math.inf
 
     def finish(self, metadata: dict[str, dict[str, str]], whole: bool = True) -> Path:
@@ -193,7 +185,7 @@ class RecordingWriter:
         A file that is not `whole` replaces no other.
         """
         kept = self.path if whole or not self.path.exists() else part_of(self.path)
-        try:
+        with self._failing():
             # The last messages come before the closing metadata, also in a file cut in between.
             self._file.flush(last=True)
             self._flush()
@@ -204,8 +196,6 @@ class RecordingWriter:
             self._stream.close()
             part_of(self.path).replace(kept)
             _sync_folder(self.path.parent)
-        except OSError as error:
-            raise self._failure(error) from None
         return kept
 
     @property
@@ -236,11 +226,16 @@ class RecordingWriter:
         self._last_whole = self._stream.tell()
         self._flushed = time.monotonic()
 
-    def _failure(self, error: OSError) -> RunFailed:
-        part, end = part_of(self.path), self._last_whole
-        self.abort()
-        kept = f"{part} reads up to byte {end}" if part.exists() else f"it is no longer at {part}"
-        return RunFailed(f"recording stopped: {error.strerror or error}; {kept}")
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Close the file, and raise RunFailed, where the `with` block cannot write."""
+        try:
+            yield
+        except OSError as error:
+            part, end = part_of(self.path), self._last_whole
+            self.abort()
+            kept = f"{part} reads up to byte {end}" if part.exists() else f"it is no longer at {part}"
+            raise RunFailed(f"recording stopped: {error.strerror or error}; {kept}") from None
 
 
 def _close_cut(stream: BinaryIO, size: int) -> None:
