@@ -9,11 +9,10 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from nuno.recording.reader import Recording
 from nuno.scene.override import apply_override, overridden
-from nuno.scene.validation_errors import explain
+from nuno.scene.validation_errors import validated
 from nuno.scene.warnings import implausible_fields
 from nuno.scene.yaml_lines import Path
 from nuno_schemas.errors import BadInput
@@ -54,10 +53,7 @@ def read_view(recording: Recording, overrides: Sequence[str] = ()) -> View:
     lines: dict[Path, int] = {}
     for item in overrides:
         lines = overridden(lines, apply_override(data, item))
-    try:
-        return View.model_validate(data["view"])
-    except ValidationError as error:
-        raise explain(error, data["view"], ("view",), str(recording.path), lines, View) from None
+    return validated(View, data["view"], str(recording.path), lines, ("view",))
 
 
 def view_doubts(recording: Recording, overrides: Sequence[str]) -> list[str]:

@@ -165,10 +165,12 @@ class Pieces:
         return self._cache[index]
 
 
-def read_pieces(recording: Recording, t: float | None = None) -> list[ShownPiece]:
-    """Return the cloth of a recording at t [s], or at its end. Raises BadInput for a missing or damaged description."""
+def read_pieces(recording: Recording, t: float | None = None, by_view: bool = True) -> list[ShownPiece]:
+    """Return the cloth of a recording at t [s], or at its end, in its colours unless the scene's view is by stretch and
+    followed (`by_view`). Raises BadInput for a missing or damaged description.
+    """
     try:
-        by_stretch = dict(recording.scene.get("view") or {}).get("colour") == "stretch"
+        by_stretch = by_view and dict(recording.scene.get("view") or {}).get("colour") == "stretch"
         pieces = cut_pieces(*recording.fabric(t), by_stretch)
     except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None

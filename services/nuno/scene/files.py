@@ -8,10 +8,8 @@ import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from nuno.scene import yaml_lines
-from nuno.scene.validation_errors import explain
+from nuno.scene.validation_errors import validated
 from nuno_schemas.errors import BadInput
 from nuno_schemas.written import Fields, Written
 
@@ -69,10 +67,7 @@ class SceneFiles:
             # JSON is YAML except for tabs, which it has only between values: in texts they are written as \\t.
             text = text.replace("\t", " ")
         data, lines = yaml_lines.parse(text, str(path))
-        try:
-            return Written(kind.model_validate(data), str(path), lines)
-        except ValidationError as error:
-            raise explain(error, data, (), str(path), lines, kind) from None
+        return Written(validated(kind, data, str(path), lines), str(path), lines)
 
 
 def read_text(path: Path, what: str, remedy: str) -> str:

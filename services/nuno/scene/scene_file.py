@@ -10,7 +10,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from nuno.plugin_contract import registry
 from nuno.process import check_compiler
@@ -19,7 +19,7 @@ from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
 from nuno.scene.files import SceneFiles
 from nuno.scene.json_schema import PLACES
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
-from nuno.scene.validation_errors import NO_FIELD, UNNUMBERED, explain, located, models_in
+from nuno.scene.validation_errors import NO_FIELD, UNNUMBERED, located, models_in, validated
 from nuno.scene.yaml_lines import dotted
 from nuno_schemas.dyeing import Dyeing
 from nuno_schemas.errors import BadInput, nearest
@@ -222,11 +222,7 @@ def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fil
 
 
 def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
-    try:
-        scene = Scene.model_validate(data)
-    except ValidationError as error:
-        raise explain(error, data, (), file, lines, Scene) from None
-
+    scene = validated(Scene, data, file, lines)
     all_chosen: list[Chosen] = []
 
     def chosen(group: str, choice: Choice, place: yaml_lines.Path) -> Chosen:

@@ -37,6 +37,8 @@ EMPTY = "in YAML # begins a comment, and quotes keep it: '#8c2f39'"
 Words = tuple[str, object, str | None, str | None]
 """Problem, value, limit and remedy."""
 
+Kind = typing.TypeVar("Kind", bound=BaseModel)
+
 _WRONG_TYPE = {
     "int": "must be a whole number",
     "float": "must be a number",
@@ -71,6 +73,16 @@ def located(error: BadInput, file: str, lines: Mapping[Path, int], field: str) -
 
 def _under(field: str, path: str) -> bool:
     return field == path or (path != "" and field.startswith(path) and field[len(path)] in ".[")
+
+
+def validated(
+    kind: type[Kind], data: Any, file: str, lines: Mapping[Path, int], prefix: Path = (),
+) -> Kind:  # fmt: skip
+    """Return `data`, which a file has at `prefix`, as a model of this kind. Raises BadInput for an invalid field."""
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise explain(error, data, prefix, file, lines, kind) from None
 
 
 def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: Mapping[Path, int],

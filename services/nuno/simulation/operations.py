@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from nuno.bus.encodings import arrays_of
 from nuno.plugin_contract import registry
@@ -17,7 +16,7 @@ from nuno.scene import yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation
 from nuno.scene.files import SceneFiles
 from nuno.scene.scene_file import Loaded
-from nuno.scene.validation_errors import UNNUMBERED, explain
+from nuno.scene.validation_errors import UNNUMBERED, validated
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Hinges, Int, Relief
 from nuno_schemas.operation import arranges
@@ -55,10 +54,7 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
         raise BadInput("what is added is applied at once", NAME, field="at", remedy="leave it out")
     data = {"plugin": name, **fields}
     lines = dict.fromkeys(yaml_lines.places(data), UNNUMBERED)
-    try:
-        applied = Applied.model_validate(data)
-    except ValidationError as error:
-        raise explain(error, data, (), NAME, lines, Applied) from None
+    applied = validated(Applied, data, NAME, lines)
     names = [spec.name for spec in loaded.scene.objects]
     object_name = applied.object or (names[0] if len(names) == 1 else "")
     if object_name not in names:

@@ -6,7 +6,7 @@ import threading
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nuno.bus.encodings import origin_of
 from nuno.collision.bodies import NO_SURFACES, Surfaces
 from nuno.collision.messages import decode_geometry, decode_poses
-from nuno.exports.cloth import ShownPiece, as_png, check_size, cut_pieces, read_texture
+from nuno.exports.cloth import ShownPiece, as_png, check_size, read_pieces
 from nuno.exports.dyed_pictures import DyedPictures, dyed_pictures, read_dyed_object
 from nuno.recording.reader import Recording, open_recording, shortcoming
 from nuno.recording.recorded import Frame, Recorded
@@ -75,11 +75,7 @@ class Shape:
 
 def read_shape(recording: Recording, t: float) -> Shape:
     """Return the shape of the cloth at t [s]. Raises BadInput if its description is damaged."""
-    try:
-        cut = cut_pieces(*recording.fabric(t))
-    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
-        raise BadInput(f"the recording does not describe its cloth: {error}", str(recording.path)) from None
-    pieces = [p if p.laid_out is None else replace(p, image=read_texture(recording, p.texture)) for p in cut]
+    pieces = read_pieces(recording, t, by_view=False)
     faces, edges, rest = (
         np.concatenate([none, *rows])
         for none, rows in (
