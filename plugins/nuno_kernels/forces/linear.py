@@ -236,13 +236,7 @@ def assemble_hinges(linear: Linear, places: Any, diagonal: Float, values: Float)
             g[1, axis], g[2, axis], g[3, axis] = rows[axis, c], -rows[3 + axis, c], -rows[6 + axis, c]
             g[0, axis] = -(g[1, axis] + g[2, axis] + g[3, axis])
         for corner in range(4):
-            x, y, z, v = g[corner, 0], g[corner, 1], g[corner, 2], vertices[corner, p]
-            diagonal[0, v] += x * x
-            diagonal[1, v] += y * y
-            diagonal[2, v] += z * z
-            diagonal[3, v] += x * y
-            diagonal[4, v] += x * z
-            diagonal[5, v] += y * z
+            add_outer(diagonal, vertices[corner, p], 0.0, g[corner, 0], g[corner, 1], g[corner, 2])
         pair = 0
         for i in range(4):
             for j in range(i + 1, 4):
