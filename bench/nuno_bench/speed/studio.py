@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import psutil
@@ -230,7 +229,7 @@ def find_browser() -> str | None:
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
 
-class Page:
+class Page(contextlib.AbstractContextManager["Page"]):
     """A page in a separate browser."""
 
     def __init__(self, folder: Path, width: int = 960, height: int = 600, flags: str = "") -> None:
@@ -259,10 +258,7 @@ class Page:
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
 
-    def __enter__(self) -> Page:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         os.close(self._out)
         os.close(self._in)
         browser = psutil.Process(self._process.pid)

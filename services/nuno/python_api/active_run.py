@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -49,7 +50,7 @@ class Heard:
     skipped: int
 
 
-class Watching:
+class Watching(AbstractContextManager["Watching"]):
     """An iterator of a run's messages, as `Heard`, from its construction to the run's end; it can be closed."""
 
     def __init__(self, run: str, endpoint: str, topics: tuple[str, ...], config: str | None, announced: bool) -> None:
@@ -91,9 +92,6 @@ class Watching:
         """End the subscription."""
         self._closed = True
         self._stack.close()
-
-    def __enter__(self) -> Watching:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
@@ -142,7 +140,7 @@ LOOK = 0.1
 T = TypeVar("T")
 
 
-class Driving:
+class Driving(AbstractContextManager["Driving"]):
     """Moves one body, and attaches cloth to it; it can be closed, and used with `with`."""
 
     def __init__(self, run: str, body: str, endpoint: str, connect: bool, config: str | None, end: float) -> None:
@@ -222,9 +220,6 @@ class Driving:
         """End the session; no pose can be sent afterwards."""
         self._closed = True
         self._stack.close()
-
-    def __enter__(self) -> Driving:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()

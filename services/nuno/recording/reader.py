@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.records import Attachment, ChunkIndex, Message
@@ -61,7 +61,7 @@ TABLES = ("energy", "wrinkles", "mobile", "fixed", "supplied")
 """Mappings in a status: each entry is a column, `energy_kinetic`."""
 
 
-class Recording:
+class Recording(contextlib.AbstractContextManager["Recording"]):
     """A recording on disk. Close it, or use it in a `with`.
 
     Opening it reads all of it, and a cut or damaged file up to there; with `scan` false only the index, if it has one:
@@ -97,9 +97,6 @@ class Recording:
         self._topics = {
             id: channel.topic for id, channel in self.layout.channels.items() if REPEATS not in channel.metadata
         }
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
