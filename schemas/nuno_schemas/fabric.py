@@ -419,6 +419,11 @@ class Corners:
         points, vertex = np.ascontiguousarray(distinct[:, 1:], np.float32), distinct[:, 0].astype(np.int32)
         return Corners(points, vertex, index.reshape(-1, 3).astype(np.int32))
 
+    @property
+    def in_image(self) -> NDArray[np.float32]:
+        """Return the points (p, 2) in an image, whose rows run down: (u, 1 - v)."""
+        return np.asarray(self.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32), np.float32)
+
 
 @dataclass(frozen=True)
 class Fabric:

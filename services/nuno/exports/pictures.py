@@ -370,9 +370,9 @@ def _cloth_mesh(piece: ShownPiece, x: Float, colours: Float | None = None) -> Me
     painted = paint_piece(piece, x) if colours is None and piece.image is None else colours
     if (laid := piece.laid_out) is None:
         return Mesh(x, piece.faces, painted)
-    # v points up on cloth and down in images. The renderer shares the normals of vertices at one position.
-    uv = laid.points * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
-    return Mesh(x[laid.vertex], laid.faces, None if painted is None else painted[laid.vertex], uv, piece.image)
+    # The renderer shares the normals of vertices at one position.
+    colours = None if painted is None else painted[laid.vertex]
+    return Mesh(x[laid.vertex], laid.faces, colours, laid.in_image, piece.image)
 
 
 def require_pressure(recording: Recording) -> Pressures:

@@ -86,9 +86,7 @@ def print_of(faces: Int, laid: Corners | None, shown: Sequence[int]) -> NDArray[
     uv = np.full((len(faces), 6), np.nan, np.float32)
     if laid is not None:
         own = (faces >= shown[0]).all(axis=1) & (faces < shown[1]).all(axis=1)
-        uv[own] = (laid.points[laid.faces[own]] * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)).reshape(
-            -1, 6
-        )
+        uv[own] = laid.in_image[laid.faces[own]].reshape(-1, 6)
     return uv
 
 

@@ -92,11 +92,7 @@ class Cloth:
         faces = piece.faces if self.split is None else self.split.faces
         self._log("", rr.Mesh3D.from_fields(triangle_indices=faces.astype(np.uint32)), static=True)
         if self.split is not None:
-            # v points up on cloth and down in images.
-            uv = np.asarray(self.split.points, np.float32) * np.array([1, -1], np.float32) + np.array(
-                [0, 1], np.float32
-            )
-            self._log("", rr.Mesh3D.from_fields(vertex_texcoords=uv), static=True)
+            self._log("", rr.Mesh3D.from_fields(vertex_texcoords=self.split.in_image), static=True)
         if image is not None:
             self._log("", texture_of(image), static=True)
         elif not self.dyed:
