@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno.collision.bodies import build_bodies
+from nuno.collision.bodies import build_bodies, outlines
 from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
 from nuno.recording.reader import Recording
@@ -156,16 +156,7 @@ def measure_hem(points: Float, centre: Float) -> Hem:
 
 def find_hem(faces: Int, x: Float) -> Int:
     """Return the vertices of the lowest border in order."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    inner = {(int(b), int(a)) for a, b in edges}
-    after = {int(a): int(b) for a, b in edges if (int(a), int(b)) not in inner}
-    loops = []
-    while after:
-        loop = [next(iter(after))]
-        while loop[-1] in after:
-            loop.append(after.pop(loop[-1]))
-        loops.append(np.array(loop[:-1], np.int32))
-    return min(loops, key=lambda loop: float(x[loop, 1].mean()))
+    return np.array(min(outlines(faces), key=lambda loop: float(x[loop, 1].mean())), np.int32)
 
 
 def _measure_skirt(recording: Recording, frames: dict[str, Frame], loaded: Loaded) -> dict[str, float]:

@@ -80,9 +80,7 @@ def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> MovingTree:
 
 def adjacent_faces(faces: Int) -> Int:
     """Return the number (f, 3) of the triangle across each edge of faces (f, 3), -1 for none; of several the lowest."""
-    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).astype(np.int64)
-    span = int(faces.max(initial=0)) + 1
-    keys = (ends[..., 0] * span + ends[..., 1]).ravel()
+    keys = edge_numbers(faces)[0].ravel()
     order = np.argsort(keys, kind="stable")
     same = keys[order][1:] == keys[order][:-1]
     adjacent = np.full(keys.shape, -1, np.int32)
