@@ -83,16 +83,11 @@ BACKGROUND = -np.inf
 
 
 class Shown(NamedTuple):
-    """The kind of value, values of vertices or faces, and points with theirs; see SortedPoints."""
+    """The kind of value, values of vertices or faces, and points with theirs."""
 
     mode: int
     on_surface: Float
-    points: Float
-    key: NDArray[np.int64]
-    values: Float
-    low: Float
-    shape: NDArray[np.int64]
-    reach: float
+    cells: SortedPoints
 
 
 @kernel
@@ -105,7 +100,7 @@ def value_at(p: Float, face: int, weights: Any, skin: Skin, shown: Shown) -> Any
     a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
     if mode == ON_VERTICES:
         return (1.0 - s - r) * values[a] + s * values[b] + r * values[c]
-    count, total = sum_near(p[0], p[1], p[2], shown)
+    count, total = sum_near(p[0], p[1], p[2], shown.cells)
     if mode == COUNTS:
         return float(count)
     return total / count if count > 0 else np.nan
@@ -222,7 +217,7 @@ def map_values(
     up = unit(np.array(config.up))
     light = key_direction(config, camera, up)
     samples = np.empty((camera.size[1], camera.size[0], columns * rows, 2))
-    surface_values = Shown(mode, np.ascontiguousarray(shown.values, np.float64), *cells)
+    surface_values = Shown(mode, np.ascontiguousarray(shown.values, np.float64), cells)
 
     def draw(first: int, last: int) -> None:
         map_rows(first, last, sight, (columns, rows, config.seed), light, skin, surface_values, samples)
