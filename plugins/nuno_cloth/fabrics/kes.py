@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -119,27 +118,17 @@ TURN = 0.02
 by TURN^2 / 12 of it."""
 
 
-@dataclass(frozen=True)
-class Measures:
-    """Results: tensile and shear [N/m], bending rigidities per width [N m], weight [kg/m^2]."""
-
-    warp: float
-    weft: float
-    shear: float
-    bend_warp: float
-    bend_weft: float
-    density: float
-
-
 def measure(
     piece: Fabric,
     resolution: tuple[int, int],
     size: tuple[float, float],
     sides_held: bool = True,
-) -> Measures:
-    """Run all tests on a specimen, a sheet of `size` (across, along) [m] with `resolution` vertices."""
+) -> Material:
+    """Run all tests on a specimen, a sheet of `size` (across, along) [m] with `resolution` vertices. Return what they
+    find: stiffness in tension and shear, bending rigidities and density.
+    """
     rows, cols = resolution[1], resolution[0]
-    return Measures(
+    return Material(
         warp=stretch(piece, rows, cols, along=1, sides_held=sides_held),
         weft=stretch(piece, rows, cols, along=0, sides_held=sides_held),
         shear=shear(piece, rows, cols, sides_held=sides_held),
@@ -319,7 +308,7 @@ def _preset(name: str, material: Material, piece: Fabric) -> Preset:
     return Preset(name, material.source, (*measures, damping), complete(material.how))
 
 
-def _measure(material: Material, held: Measures, free: Measures, field: str, unit: str, per_si: float) -> Measure:
+def _measure(material: Material, held: Material, free: Material, field: str, unit: str, per_si: float) -> Measure:
     tests = {"sides held": held, "sides free": free}
     measured = {test: getattr(results, field) * per_si for test, results in tests.items()}
     return Measure(field, unit, getattr(material, field) * per_si, measured)
