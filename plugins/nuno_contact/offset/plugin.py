@@ -56,7 +56,7 @@ from nuno_contact.offset.matrix import add_diagonal, fill_pairs, foresee, make_c
 from nuno_contact.offset.projection import project
 from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.separating_plane import restrain
-from nuno_contact.reaction import elastic_stiffness
+from nuno_contact.reaction import auto_stiffness
 from nuno_contact.untangle.search import find_crossings
 from nuno_geometry.check import place_of
 from nuno_geometry.closest_point import closest_points
@@ -285,12 +285,9 @@ THINNEST = 1e-6
 Thickness = Annotated[float, quantity("m", ge=THINNEST)]
 REST_SHARE = 0.1
 """share of the thickness that a vertex sinks in under its own weight"""
-STOP_SPEED = 1.0
-"""A vertex that arrives at this speed [m/s] is stopped within the thickness, if its stiffness is no more than SHARE
-allows."""
 SHARE, AT_ONCE = 0.4, 4
 """The stiffness of all contacts of a vertex (about AT_ONCE in stacked layers) is at most this share of that
-of the vertex' springs together: see nuno_contact.penalty.plugin.auto_stiffness."""
+of the vertex' springs together: see nuno_contact.reaction.auto_stiffness."""
 
 
 class OffsetConfig(Config):
@@ -299,13 +296,6 @@ class OffsetConfig(Config):
     thickness: Thickness = Field(default=1e-3, description="distance from which on cloth pushes cloth away [m]")
     friction: float = Field(default=0.3, ge=0, le=100, description="Coulomb coefficient of cloth on cloth")
     damping: float = Field(default=0.5, ge=0, le=10, description="normal damping in contact, as a ratio of critical")
-
-
-def auto_stiffness(fabric: Fabric, gravity: Float, thickness: float) -> Float:
-    """Return the stiffness (n,) [N/m] k = m max(g / (REST_SHARE h), min(w0^2, SHARE / AT_ONCE sum_j k_j / m))."""
-    weight = fabric.mass * float(norm(gravity)) / (REST_SHARE * thickness)
-    stop = fabric.mass * (STOP_SPEED / thickness) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE / AT_ONCE * elastic_stiffness(fabric)))
 
 
 def take_step(m: ContactState, rate: float) -> None:
@@ -428,7 +418,7 @@ class Offset:
         for number, vertices in enumerate(objects.values()):
             piece[vertices] = number
         check_thickness(fabric, h)
-        stiffness = auto_stiffness(fabric, gravity, h)
+        stiffness = auto_stiffness(fabric, gravity, REST_SHARE * h, h, SHARE / AT_ONCE)
         law = np.array([h, config.friction, config.damping])
         free = ~fabric.pinned
         most = AT_ONCE * (stiffness / fabric.mass)[free].max(initial=0.0)

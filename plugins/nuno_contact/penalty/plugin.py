@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.margins import Margin, check_margin, triangle_spread
 from nuno_contact.penalty.contact import make_contact
-from nuno_contact.reaction import elastic_stiffness
+from nuno_contact.reaction import auto_stiffness
 from nuno_schemas.bodies import MESH, SKIN, Geometry
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
@@ -20,9 +20,8 @@ from nuno_schemas.vectors import norm
 
 REST_DEPTH = 5e-4
 """depth to which a vertex at rest sinks under its own weight at most [m]"""
-STOP_SPEED, STOP_DEPTH = 1.0, 1e-3
-"""A vertex that arrives at this speed [m/s] is stopped within about this depth [m], if its stiffness is no more than
-SHARE allows."""
+STOP_DEPTH = 1e-3
+"""Depth within which a vertex that arrives at `nuno_contact.reaction.STOP_SPEED` is stopped [m]."""
 GAP = 2.5e-3
 """Margin of triangles on any body, also a plane [m]: more than a vertex that arrives at 2.5 m/s or rests sinks."""
 SHARE = 0.25
@@ -37,20 +36,6 @@ class PenaltyConfig(Config):
         description="distance from the surface at which vertices are kept [m]; auto: as much as the triangles of each "
         "vertex, which cut through round bodies, and the body's curvature need",
     )
-
-
-def auto_stiffness(fabric: Fabric, gravity: Float) -> Float:
-    """Return the stiffness (n,) of each vertex [N/m]: k = m max(g / REST_DEPTH, min(w0^2, SHARE sum_j k_j / m)).
-
-    w0 = STOP_SPEED / STOP_DEPTH stops an arriving vertex, and m g / w0^2 is only 10 um at rest. The rows of the spring
-    matrix bound its largest eigenvalue by w^2 <= 2 max_i sum_j k_j / m_i (Gershgorin), so contact at a quarter of a
-    row's sum raises the bound by an eighth and shortens the stable step by at most about 6 %. Where springs are that
-    soft, the rest depth still holds; gravity may be zero, since the other two terms do not need it. A vertex without
-    springs is stopped at w0.
-    """
-    weight = fabric.mass * float(norm(gravity)) / REST_DEPTH
-    stop = fabric.mass * (STOP_SPEED / STOP_DEPTH) ** 2
-    return np.maximum(weight, np.minimum(stop, SHARE * elastic_stiffness(fabric)))
 
 
 def slip_speed(damping: float) -> float:
@@ -113,7 +98,7 @@ class Penalty:
             check_margin(margin, geometry)
         spread = triangle_spread(fabric.position, fabric.faces) if margin == "auto" else None
         fixed = GAP if margin == "auto" else margin
-        own = auto_stiffness(fabric, gravity)
+        own = auto_stiffness(fabric, gravity, REST_DEPTH, STOP_DEPTH, SHARE)
         stiffness = np.where(np.isnan(geometry.stiffness)[:, None], own, geometry.stiffness[:, None])
         damping = 2.0 * geometry.damping[:, None] * np.sqrt(stiffness * fabric.mass)
         free = ~fabric.pinned
