@@ -11,7 +11,7 @@ import pytest
 from nuno.collision import crossings
 from nuno.collision import crossings as pairs
 from nuno.collision.crossings import Mesh, NearPairs, cross, find_crossings, mesh_of, near_pairs
-from nuno.collision.distance import least_distance
+from nuno.collision.distance import least_distance, vertex_distances
 from nuno_bench import piles
 from nuno_schemas.fabric import Float
 
@@ -75,6 +75,21 @@ def test_the_least_distance_is_that_which_ipctk_finds(seed: int) -> None:
         kept = [pair in set(apart) for pair in zip(edge.tolist(), face.tolist(), strict=True)]
         found = least_distance(x, mesh, (edge[kept], face[kept]), within)
         assert found == (pytest.approx(least, rel=1e-9, abs=1e-15) if within > least else None)
+
+
+@quick
+@pytest.mark.parametrize("seed", SEEDS)
+def test_each_vertex_is_as_near_as_ipctk_finds(seed: int) -> None:
+    """Of its triangles, and of the vertices of others from the triangles that it is a corner of."""
+    x, mesh = disorder(seed)
+    expected = np.full(len(x), np.inf)
+    for e, f in all_pairs(mesh):
+        for v in mesh.edges[e].tolist():
+            distance = sqrt(ipctk.point_triangle_distance(x[v], *x[mesh.faces[f]]))
+            expected[[v, *mesh.faces[f]]] = np.minimum(expected[[v, *mesh.faces[f]]], distance)
+    within = float(np.median(expected))
+    found = vertex_distances(x, mesh, near_pairs(x, mesh, within), within)
+    assert found == pytest.approx(np.minimum(expected, within), rel=1e-9, abs=1e-15)
 
 
 @quick

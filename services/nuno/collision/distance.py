@@ -398,6 +398,18 @@ def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float
     return least if least <= within else None
 
 
+def vertex_distances(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> Float:
+    """Return the distance (n,) [m] of each vertex of a mesh x (n, 3) from triangles of edges and triangles in pairs by
+    number that share no vertex, and of each triangle's corners from these vertices; at most `within`.
+    """
+    edge, face = pairs
+    vertex, below = once(mesh.edges[edge].ravel().astype(np.int64), face.repeat(2), len(mesh.faces))
+    distance, found = to_triangles(x[vertex], x[mesh.faces[below]]), np.full(len(x), within)
+    np.minimum.at(found, vertex, distance)
+    np.minimum.at(found, mesh.faces[below], distance[:, None])
+    return found
+
+
 def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple[Long, Long]:
     """Return the pairs of a, b (k,) whose boxes are at most `within` apart, each once."""
     return once(*overlap(a, (boxes[0] - within, boxes[1] + within), b, others), others[0].shape[1])

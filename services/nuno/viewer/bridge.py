@@ -12,6 +12,8 @@ import numpy as np
 import rerun as rr
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
+from nuno.collision.crossings import NearPairs, mesh_of
+from nuno.collision.distance import vertex_distances
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import cut_pieces, read_indices
@@ -162,7 +164,8 @@ class Bridge:
         self.window = layout.Window()
         self.cloths: list[Cloth] = []
         self.positions: Float | None = None
-        """Those of the newest frame (n, 3) [m]."""
+        """Those of the newest frame (n, 3) [m], with the number `_placed`."""
+        self._placed = -1
         self.stage = np.zeros((0, 3))
         """Points (n, 3) [m] that should be in view."""
         self._fabrics: dict[str, int] = {}
@@ -171,6 +174,11 @@ class Bridge:
         self._bodies: BodiesView | None = None
         self._crossings: CrossingsView | None = None
         self._touches: TouchesView | None = None
+        self._faces = np.zeros((0, 3), np.int32)
+        self._near: NearPairs | None = None
+        """Pairs of edges and triangles of the cloth that may be near, once a nearness is shown."""
+        self._apart = False
+        """Whether the nearness that is shown is none."""
         self._speed = painter.speed if painter is not None else None
         self._dyed_object = painter.object if painter is not None else None
         self.dyed: DyedCloth | None = None
@@ -262,6 +270,7 @@ class Bridge:
         pieces, number = cut_pieces(arrays, text), int(text["vertices"])
         self._vertices = number
         self._pinned = arrays["pinned"].astype(bool)
+        self._faces, self._near = arrays["faces"], None
         for cloth in self.cloths:
             cloth.clear()
         self.cloths = []
@@ -295,7 +304,7 @@ class Bridge:
         positions = decode_points(payload)
         if len(positions) != self._vertices:
             raise BadMessage(f"{len(positions)} points for a fabric of {self._vertices} vertices")
-        self.positions = positions
+        self.positions, self._placed = positions, self._latest[0]
         if self._eye is None:
             self._aim(positions)
             self._first = positions
@@ -371,6 +380,26 @@ class Bridge:
                 self.window.meets = True
                 self._arrange()
             self._crossings.log(report)
+        if report.thickness is not None and self.positions is not None and report.frame == self._placed:
+            self._show_nearness(self.positions, report.thickness, report.distance is None)
+
+    def _show_nearness(self, x: Float, thickness: float, apart: bool) -> None:
+        """Colour cloth by how much nearer it is to cloth than its thickness [m], which is nowhere if it is `apart`."""
+        meshed = [cloth for cloth in self.cloths if cloth.meshed]
+        if self._near is None:
+            self._near, self._apart = NearPairs(mesh_of(self._faces), thickness), False
+            self.scales["nearness"].widen(np.array([thickness]))
+            for cloth in meshed:
+                self.offer(cloth, "nearness")
+            self._arrange()
+        if apart and self._apart:
+            return
+        values = np.zeros(len(x))
+        if not apart:
+            values = thickness - vertex_distances(x, self._near.mesh, self._near.at(x), thickness)
+        for cloth in meshed:
+            cloth.log_field("nearness", values[cloth.piece.start : cloth.piece.stop])
+        self._apart = apart
 
     def _contact(self, payload: bytes) -> None:
         felt = Contact.model_validate_json(payload).bodies

@@ -43,6 +43,7 @@ QUANTITIES = {
     "stretch": Quantity("Stretch of the most stretched thread [%]", 100.0, 1e-3),
     "curvature": Quantity("Mean curvature [1/m], red where the front is convex", 1.0, 1.0, signed=True),
     "tension": Quantity("Tension along the yarns [mN]", 1e3, 1e-5),
+    "nearness": Quantity("How much nearer to cloth than its thickness [mm]", 1e3, 1e-5),
     "pressure": Quantity("Pressure on bodies [Pa]", 1.0, 1.0),
     "difference": Quantity("Distance from the first recording [mm]", 1e3, 1e-5),
 }
