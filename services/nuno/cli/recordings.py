@@ -270,10 +270,10 @@ def view_command(args: argparse.Namespace) -> int:
             warn(recording)
         path = args.save or Path(stack.enter_context(scratch()), "view.rrd")
         if len(recordings) == 1:
-            file.convert(recordings[0], path, args.colour)
+            file.convert(recordings[0], path, args.colour, progress_lines())
             subject = file.subject_of(recordings[0])
         else:
-            compare(recordings, path, args.over, args.colour)
+            compare(recordings, path, args.over, args.colour, progress_lines())
             subject = together(recordings)
         if view is None:
             print(path)

@@ -15,6 +15,7 @@ import rerun as rr
 
 from nuno.bus.encodings import BadMessage, decode_arrays
 from nuno.exports.cloth import read_texture
+from nuno.output_files import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.viewer import layout
@@ -54,11 +55,18 @@ class Compared:
         self.bridge.feed(message.topic, self.recording.mark(message)[0], message.t, message.payload)
 
 
-def compare(recordings: Sequence[Recording], path: Path, over: bool = False, colour: str = "auto") -> Path:
+def compare(
+    recordings: Sequence[Recording],
+    path: Path,
+    over: bool = False,
+    colour: str = "auto",
+    progress: Progress | None = None,
+) -> Path:
     """Write two or more recordings to a rerun file that shows them in one view, each below an entity of its name.
 
-    over    whether they are laid over each other, in a colour each; else they stand side by side
-    colour  what is seen first: cloth, stretch, or auto, as the first scene's view says
+    over      whether they are laid over each other, in a colour each; else they stand side by side
+    colour    what is seen first: cloth, stretch, or auto, as the first scene's view says
+    progress  is called with the messages done and in all
 
     Cloth of the same triangles as the first recording's also has its distance from that, in frames of the same time.
     Raises BadInput for recordings that cannot be compared, or are damaged.
@@ -76,7 +84,7 @@ def compare(recordings: Sequence[Recording], path: Path, over: bool = False, col
         ]
         for recording in recordings:
             measure_scales(recording, scales)
-        _log_all(compared, over)
+        _log_all(compared, over, progress)
         for one in compared:
             one.bridge.flush()
         _arrange(file, compared, over)
@@ -125,7 +133,7 @@ def _bridge(
     )  # fmt: skip
 
 
-def _log_all(compared: Sequence[Compared], over: bool) -> None:
+def _log_all(compared: Sequence[Compared], over: bool, progress: Progress | None) -> None:
     """Log all messages of all recordings by their time, and distances of cloth from the first one's. Raises BadInput
     for a damaged recording.
     """
@@ -134,8 +142,9 @@ def _log_all(compared: Sequence[Compared], over: bool) -> None:
         for message in compared[index].recording.messages():
             yield message.t, index, message
 
-    first = compared[0]
-    for _, index, message in heapq.merge(*(messages(i) for i in range(len(compared))), key=lambda item: item[:2]):
+    first, number = compared[0], sum(sum(one.recording.counts.values()) for one in compared)
+    merged = heapq.merge(*(messages(i) for i in range(len(compared))), key=lambda item: item[:2])
+    for _, index, message in following(merged, number, progress):
         one = compared[index]
         try:
             one.feed(message)

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from nuno.bus.encodings import BadMessage
 from nuno.dye.painter import DyePainter
 from nuno.exports.cloth import Pieces, read_texture
+from nuno.output_files import Progress, following
 from nuno.recording.reader import Recording
 from nuno.recording.writer import part_of
 from nuno.scene.recorded_scene import restored_scene
@@ -188,9 +189,10 @@ def measure_scales(recording: Recording, scales: Mapping[str, Scale]) -> None:
                         scales[name].widen(values)
 
 
-def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
+def convert(recording: Recording, path: Path, colour: str = "auto", progress: Progress | None = None) -> Path:
     """Write every message of a finished recording to a rerun file, in which cloth is seen first by `colour`: cloth,
-    stretch, or auto, as the scene's view says. Raises BadInput for a damaged recording.
+    stretch, or auto, as the scene's view says. `progress` is called with the messages done and in all. Raises BadInput
+    for a damaged recording.
     """
     with ExitStack() as stack:
         painter, subject = recorded_painter(recording, stack), subject_of(recording)
@@ -199,7 +201,7 @@ def convert(recording: Recording, path: Path, colour: str = "auto") -> Path:
         )
         measure_scales(recording, file.bridge.scales)
         try:
-            for message in recording.messages():
+            for message in following(recording.messages(), sum(recording.counts.values()), progress):
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
         except BadMessage as error:
             raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
