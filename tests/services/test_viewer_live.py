@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -131,6 +132,36 @@ def test_a_killed_view_takes_nothing_along() -> None:
     assert live.frames == FRAMES
     assert live.skipped == FRAMES
     assert said == ["the run goes on without a view: it ended unexpectedly"]
+
+
+SLOW = """#!{python}
+import json, sys, time
+print(json.dumps({{"connected": True}}), flush=True)
+shown = 0
+while line := sys.stdin.buffer.readline():
+    head = json.loads(line)
+    sys.stdin.buffer.read(head["size"])
+    if head["topic"] == "{topic}":
+        time.sleep({seconds})
+        shown += 1
+        print(json.dumps({{"shown": shown}}), flush=True)
+"""
+
+
+def test_a_run_waits_for_all_frames_however_slowly_they_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In all for twice as long as it would without a frame."""
+    drawer, patience = tmp_path / "drawer", 1.0
+    drawer.write_text(SLOW.format(python=sys.executable, topic=STATE.name, seconds=2.0 * patience / FRAMES))
+    drawer.chmod(0o755)
+    monkeypatch.setattr("nuno.viewer.live.FINISH_SECONDS", patience)
+    monkeypatch.setattr("sys.executable", str(drawer))
+    live = LiveView("web", Subject(run="run"), lambda kind, text: None)
+    for message in messages(FRAMES, 4, 3):
+        live.feed(*message)
+    live.finish()
+    assert (live.frames, live.shown, live.error) == (FRAMES, FRAMES, "")
 
 
 def test_a_view_ends_with_the_run_that_started_it() -> None:
