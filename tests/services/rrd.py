@@ -20,7 +20,7 @@ def columns(path: Path, name: str) -> dict[str, list[Any]]:
     for chunk in rerun.chunk.RrdReader(path).stream().to_chunks():
         batch = chunk.to_record_batch()
         if name in batch.schema.names:
-            found[chunk.entity_path] = batch[name].to_pylist()
+            found.setdefault(chunk.entity_path, []).extend(batch[name].to_pylist())
     return found
 
 
