@@ -15,11 +15,10 @@ from nuno_schemas.fabric import Binding, Corners, Fabric, Float, Int, Relief, Sp
 from nuno_schemas.operation import Changed, Outcome, Surface
 from nuno_schemas.plugin import Config, Files
 from nuno_schemas.units import quantity
-from nuno_wrinkle.crests import find_crests
 from nuno_wrinkle.lines import Crossed, Line, Smoothing, follow_lines, on_texture, read_lines
 from nuno_wrinkle.net import ON_SPRINGS, Net, Rule, build_net, describe, find_near, find_sprung, kept_rigidity
 from nuno_wrinkle.raised import Raised, find_region, raise_lines
-from nuno_wrinkle.relief import number_lines, raise_rest, sides_of
+from nuno_wrinkle.relief import find_crests, number_lines, raise_rest, sides_of
 from nuno_wrinkle.surface import link_faces
 
 
