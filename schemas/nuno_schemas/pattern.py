@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Opening:
 
 @dataclass(frozen=True)
 class Checked:
-    """A checked pattern: panels, number and total length of seams [m], openings, remarks, and the height up to which
-    panels are placed [m], 0 without placement.
+    """A checked pattern: panels, number and total length of seams [m], openings, remarks, the height up to which panels
+    are placed [m], 0 without placement, and the edges by name, as `front[3]`: length [m] and the edge it is sewn to.
     """
 
     panels: tuple[PanelSize, ...]
@@ -57,3 +58,14 @@ class Checked:
     openings: tuple[Opening, ...]
     remarks: tuple[Remark, ...]
     high: float = 0.0
+    edges: Mapping[str, tuple[float, str | None]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Altered:
+    """A pattern's file with an edge of another length: its text, and the seams whose edges no longer have their former
+    ratio, each with the difference.
+    """
+
+    text: str
+    eased: tuple[str, ...]

@@ -22,6 +22,7 @@ from nuno_cloth.models.placement import Wearable, find_texture
 from nuno_cloth.models.triangles import Edges, find_edges
 from nuno_cloth.models.wearer import check_openings, check_place, check_stance
 from nuno_cloth.quantities import EdgeLength, Length
+from nuno_cloth.sewing.alter import alter_pattern
 from nuno_cloth.sewing.check import check_pattern
 from nuno_cloth.sewing.draw import FINE, draw_together, points_between
 from nuno_cloth.sewing.pattern import Pattern as Drawn
@@ -36,7 +37,7 @@ from nuno_geometry.sections import cut_mesh
 from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import ELASTIC, Corners, Fabric, Float, Int, Panels, Springs
-from nuno_schemas.pattern import Checked
+from nuno_schemas.pattern import Altered, Checked
 from nuno_schemas.plugin import Config, Files, Rested
 from nuno_schemas.units import quantity
 
@@ -314,6 +315,10 @@ class Pattern(Wearable):
         Raises BadInput for a file that is not a pattern.
         """
         return check_pattern(files, name, gather)
+
+    def alter_pattern(self, files: Files, name: str, side: tuple[str, int], length: float) -> Altered:
+        """Return a pattern's file in which an edge, by its panel and number, is `length` [m] long. Raises BadInput."""
+        return alter_pattern(files, name, side, length)
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,14 @@ def check_pattern(files: Files, name: str, gather: float) -> Checked:
     return Checked(
         tuple(_size(panel, pattern) for panel in pattern.panels.values()), len(pattern.seams), length,
         tuple(Opening(tuple(map(name_of, one)), sum(pattern.edge(side).length for side in one)) for one in openings),
-        tuple(ordered), float(np.max(corners, initial=0.0)),
+        tuple(ordered), float(np.max(corners, initial=0.0)), _edges(pattern),
     )  # fmt: skip
+
+
+def _edges(pattern: Pattern) -> dict[str, tuple[float, str | None]]:
+    sides = [(name, k) for name, panel in pattern.panels.items() for k in range(len(panel.edges))]
+    partner = {side: name_of(other) for side, (other, _) in pattern.partner.items()}
+    return {name_of(side): (pattern.edge(side).length, partner.get(side)) for side in sides}
 
 
 def _size(panel: Panel, pattern: Pattern) -> PanelSize:

@@ -225,7 +225,7 @@ def _panel(name: str, fields: PanelFields, unit: float, coords: str, note: Note)
     x, y, z = np.radians(fields.rotation)
     grain = float(np.radians(fields.grain))
     panel = Panel(
-        name, tuple(edges), _rotation(x, y, z), np.array(fields.translation) * unit,
+        name, tuple(edges), rotation_of(x, y, z), np.array(fields.translation) * unit,
         np.array([-np.sin(grain), np.cos(grain)]), fields.label,
     )  # fmt: skip
     crossing = find_crossing([edge.curve for edge in edges])
@@ -274,7 +274,7 @@ def _edge(fields: EdgeFields, corners: Float, unit: float, coords: str, note: No
         note("no length", f"is {100 * float(norm(end - start)):.3g} cm long", ("endpoints",), "leave one corner out")
         raise BadPanel
     try:
-        return Edge(_curve(fields, start, end, unit, coords), fields.label)
+        return Edge(curve_of(fields, start, end, unit, coords), fields.label)
     except ValueError as error:
         least = float(str(error).rpartition(" ")[2]) / unit
         text = f"an arc of radius {fields.curvature.params[0]:.6g} does not reach from end to end: at least {least:.6g}"  # type: ignore[union-attr]
@@ -282,7 +282,7 @@ def _edge(fields: EdgeFields, corners: Float, unit: float, coords: str, note: No
         raise BadPanel from None
 
 
-def _curve(fields: EdgeFields, start: Float, end: Float, unit: float, coords: str) -> Curve:
+def curve_of(fields: EdgeFields, start: Float, end: Float, unit: float, coords: str) -> Curve:
     """Return an edge's curve. Raises ValueError for an arc that does not reach from end to end."""
     curvature = fields.curvature
     if curvature is None:
@@ -299,7 +299,7 @@ def _curve(fields: EdgeFields, start: Float, end: Float, unit: float, coords: st
     return Bezier(np.concatenate([start[None], control, end[None]]))
 
 
-def _rotation(x: float, y: float, z: float) -> Float:
+def rotation_of(x: float, y: float, z: float) -> Float:
     """Return the rotation (3, 3) about x, then the turned y, then the turned z [rad]: scipy's from_euler("XYZ")."""
     (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
