@@ -1,6 +1,6 @@
-"""Make the pictures of the studio in docs/pictures: python docs/make_studio_pictures.py [studio] [fit] [painting]
+"""Make the pictures of the studio in docs/pictures: python docs/make_studio_pictures.py [NAME ...]
 
-Each is of the page in a headless Chromium, with a shipped scene in it.
+Each is of the page in a headless Chromium, with a shipped scene in it: studio, fit, sewing, painting.
 """
 
 from __future__ import annotations
@@ -60,6 +60,24 @@ def fit(page: Page) -> str:
     return "studio-fit"
 
 
+def sewing(page: Page) -> str:
+    """sewn/shirt again, 10 cm longer at its sides."""
+    fit(page)
+    former, side = page.value("nuno.run.name"), "document.querySelector('[aria-label=\"front, edge 1\"]')"
+    for _ in range(2):
+        page.value(f"{side}.dispatchEvent(new Event('click'))")
+        page.wait("document.querySelector('.sewing:not([hidden])') !== null", PATIENCE)
+        if page.value("nuno.run.name") == former:
+            page.value("(one => { one.value = Number(one.value) + 10; one.dispatchEvent(new Event('input')); })"
+                       "(document.getElementById('edge-length'))")  # fmt: skip
+            page.click("sew-again")
+            page.wait(f"nuno.run && nuno.run.name !== '{former}' && Boolean(nuno.run.fit?.values)", PATIENCE)
+    page.click("dismiss")
+    page.value("document.querySelector('.sewing').scrollIntoView({ block: 'center' })")
+    page.wait("!nuno.run.screen.stage.asked")
+    return "studio-sewing"
+
+
 def painting(page: Page) -> str:
     """Dye and paste on the flat cloth of dye/drops."""
     open_scene(page, "dye/drops")
@@ -87,7 +105,7 @@ def open_scene(page: Page, name: str) -> None:
 
 
 def main(names: list[str]) -> None:
-    known = {"studio": studio, "fit": fit, "painting": painting}
+    known = {"studio": studio, "fit": fit, "sewing": sewing, "painting": painting}
     for name in names or known:
         with tempfile.TemporaryDirectory(prefix="nuno-") as folder, contextlib.chdir(folder):
             desk = Desk()

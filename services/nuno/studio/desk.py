@@ -15,7 +15,7 @@ from typing import Any
 
 from nuno.plugin_contract import registry
 from nuno.runtime import runs
-from nuno.scene import edit, yaml_lines
+from nuno.scene import edit, scene_file, yaml_lines
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
@@ -26,7 +26,7 @@ from nuno.studio.dye import Dyed, cloth_of
 from nuno.studio.files import FILE_ACTS, Files
 from nuno.studio.lines import Drawing
 from nuno.studio.processes import Child, Workshop
-from nuno.studio.recordings import Recordings, measure_fit, run_of
+from nuno.studio.recordings import Recordings, list_edges, measure_fit, run_of, sew_again
 from nuno.studio.run import Run
 from nuno.studio.scenes import MARK, read_text
 from nuno.studio.screen import Screen
@@ -153,7 +153,7 @@ def _feel(preset: Preset) -> dict[str, float]:
 
 ACTS = (
     "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "paint", "fit", "swatches", "leave",
+    "paint", "fit", "edges", "sew", "swatches", "leave",
 )  # fmt: skip
 """Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
@@ -272,6 +272,21 @@ class Desk:
         with self._measuring:  # a page may ask twice for one that takes long
             found: dict[str, Any] = self._measure(path, stamp_of(path), None if body is None else str(body))
         return found
+
+    def _edges(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        return list_edges(self.recordings.find(request.get("recording")))
+
+    def _sew(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Run the scene of a recording with an edge of another length, under new names. Raises BadInput."""
+        path, eased = self.recordings.find(request.get("recording")), list[str]()
+        edge = [request.get(name) for name in ("panel", "edge", "length")]
+
+        def make() -> Run:
+            scene, seams = sew_again(path, self.scenes.folder, *edge)
+            eased.extend(seams)
+            return Run.start(scene_file.read(scene, (), self.scenes.roots), scene.name, None, False)
+
+        return self._begin(make) | {"eased": eased}
 
     def _swatches(self, request: Mapping[str, Any]) -> dict[str, Any]:
         return self._looks()

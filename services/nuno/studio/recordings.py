@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nuno.exports.cloth import cut_pieces
+from nuno.exports.tables import scene_files
 from nuno.formatting import duration
 from nuno.python_api.fit import map_fits, pressing, remarks, tables, verdict
 from nuno.recording.reader import END, Recording, open_recording, shortcoming
 from nuno.recording.writer import part_of
 from nuno.report.run_report import recorded_lines
 from nuno.runtime import log, outcome, runs
+from nuno.scene.edit import comment
 from nuno.scene.files import stamp_of
 from nuno.scene.recorded_scene import restored_scene
+from nuno.scene.scene_file import Loaded
+from nuno.studio.dropped_files import reserve
 from nuno.studio.processes import Child
+from nuno.studio.scenes import write_whole
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
+from nuno_schemas.pattern import Altered
 
 PICTURE = ".png"
 WHOLE = ".mcap"
@@ -149,6 +159,64 @@ def measure_fit(path: Path, body: str | None) -> dict[str, Any]:
         for fit, over in found
     ]  # fmt: skip
     return {"frame": frame, "garments": garments}
+
+
+# A recording's scene with an edge of a pattern in another length.
+
+
+def list_edges(path: Path) -> dict[str, Any]:
+    """Return the number of the object of each panel, as the page draws them, `Checked.edges` of each object that is
+    sewn from a file, and why others have none. Raises BadInput.
+    """
+    with open_recording(path) as recording, restored_scene(recording) as loaded:
+        edges, why = dict[int, Any](), list[str]()
+        for k, (part, model) in enumerate(zip(loaded.scene.objects, loaded.models, strict=True)):
+            if hasattr(model.plugin, "alter_pattern"):
+                edges[k] = model.plugin.check_pattern(loaded.files, model.config.model_dump()["file"], np.inf).edges
+            else:
+                why.append(
+                    f"no edge of {part.name} can be changed: its model, {model.name}, reads no pattern from a file"
+                )
+        return {"panels": [k for k, _ in _panels(recording, loaded)], "edges": edges, "why": "; ".join(why)}
+
+
+def _panels(recording: Recording, loaded: Loaded) -> list[tuple[int, str]]:
+    """Return the number of the object and the name of each panel, as the page draws them."""
+    names = [part.name for part in loaded.scene.objects]
+    pieces = [(names.index(piece.name), piece.corners) for piece in cut_pieces(*recording.fabric())]
+    return [(k, name) for k, own in pieces if own is not None and own.panels is not None for name in own.panels.names]
+
+
+def sew_again(path: Path, folder: Path, panel: Any, edge: Any, length: Any) -> tuple[Path, tuple[str, ...]]:
+    """Write a recording's scene, and what it lacks of its files, into a folder, and beside the former pattern one with
+    an edge of a panel, by its number as the page draws them, `length` [m] long. Return the scene, and the eased seams;
+    no file is changed. Raises BadInput.
+    """
+    with open_recording(path) as recording, restored_scene(recording) as loaded:
+        panels, data = _panels(recording, loaded), deepcopy(loaded.data)
+        if panel not in range(len(panels)) or not isinstance(edge, int) or not isinstance(length, int | float):
+            raise BadInput("this is no edge of a panel, or no length", field="length", value=length)
+        number, name = panels[panel]
+        model, file = loaded.models[number].plugin, Path(loaded.models[number].config.model_dump()["file"])
+        altered: Altered = model.alter_pattern(loaded.files, str(file), (name, edge), length)
+        files = scene_files(recording, folder / "scene.yaml")
+        try:
+            for target in (one for one in files if not one.exists()):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(files[target])
+            scene = reserve(folder, f"{_uncounted(loaded.scene.name)}.yaml")
+            pattern = reserve(folder / file.parent, f"{_uncounted(file.stem)}{file.suffix}")
+            pattern.write_text(altered.text, encoding="utf-8", newline="")
+        except OSError as error:
+            raise BadInput(f"cannot be written: {error.strerror}", str(folder)) from None
+        data["name"], data["objects"][number]["model"]["file"] = scene.stem, str(file.with_name(pattern.name))
+        write_whole(scene, comment(replace(loaded, data=data)))
+    return scene, altered.eased
+
+
+def _uncounted(name: str) -> str:
+    """Return a name without the number that `reserve` may have given it."""
+    return re.sub(r"-\d+$", "", name)
 
 
 def _numbers(values: Float) -> list[float | None]:

@@ -34,7 +34,7 @@ export class Fit {
 
   show({ garments }) {
     this.box.replaceChildren(...garments.flatMap(({ name, on, verdict, tables, remarks }) => [make("h2", { textContent: name }), make("p", { className: on ? "good" : "bad", textContent: sentence(verdict) }), ...tables.map(table), rowsOf(remarks)]));
-    if (this.screen.frame.panels?.length) this.box.querySelector("table").after(patternOf(this.screen));
+    this.box.querySelector("table").after(patternOf(this.screen, this.recording));
     this.values = Object.fromEntries(["stretch", "pressure"].map((by) => {
       const all = new Float32Array(this.screen.frame.x.length / 3).fill(NaN);
       for (const one of garments) all.set(one[by].map((value) => value ?? NaN), one.start);
