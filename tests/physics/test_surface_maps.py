@@ -82,21 +82,23 @@ def test_values_of_points_are_the_mean_of_those_near_and_grey_where_none_is():
     assert np.isnan(none[..., 0]).all()
 
 
+def shown(light):
+    """sRGB bytes of linear light (n, 3), highlights rolled off."""
+    return np.rint(255 * to_srgb(np.where(light > 0.8, 1.0 - 0.2 * np.exp((0.8 - light) / 0.2), light))).astype(int)
+
+
 def test_colours_are_those_of_the_bar_from_the_least_to_the_largest():
     there = scene(4.0)
     faces = SurfaceValues("faces", np.array([1.0, 9.0]), "pressure [Pa]")
     config = MapConfig(light=(0, 0, 1), samples=1)
     picture = Map().draw(config, replace(there, values=faces), above(1.0, (64, 64))).astype(int)
-    light = colours([1.0, 9.0], 1.0, 9.0)
-    light = np.where(light > 0.8, 1.0 - 0.2 * np.exp((0.8 - light) / 0.2), light)
-    dark, bright = np.rint(255 * to_srgb(light)).astype(int)
+    least, largest = shown(colours([1.0, 9.0], 1.0, 9.0))
     # The first face is that below the diagonal.
-    assert np.abs(picture[35, 60] - dark).max() <= 1
-    assert np.abs(picture[10, 5] - bright).max() <= 1
+    assert np.abs(picture[35, 60] - least).max() <= 1
+    assert np.abs(picture[10, 5] - largest).max() <= 1
     half = MapConfig(light=(0, 0, 1), low=0.0, high=2.0, samples=1)
     middle = Map().draw(half, replace(there, values=SurfaceValues("faces", np.ones(2), "one")), above(1.0, (64, 64)))
-    expected = np.rint(255 * to_srgb(colours([1.0], 0.0, 2.0)))[0]
-    assert np.abs(middle[5, 5].astype(int) - expected).max() <= 1
+    assert np.abs(middle[5, 5].astype(int) - shown(colours([1.0], 0.0, 2.0))[0]).max() <= 1
 
 
 def test_what_cannot_be_shown_is_refused():
