@@ -108,6 +108,15 @@ def test_recordings_that_cannot_be_compared_are_refused(pair: list[str], tmp_pat
     assert not list(tmp_path.glob("*.rrd*"))
 
 
+def test_a_field_is_seen_first_or_refused_where_it_is_not(pair: list[str], tmp_path: Path) -> None:
+    saved = tmp_path / "both.rrd"
+    assert main(["view", *pair, "--colour", "difference", "--save", str(saved)]) == 0
+    saved.unlink()
+    assert main(["view", pair[0], "--colour", "difference", "--save", str(saved)]) == 2
+    assert main(["view", *pair, "--colour", "tension", "--save", str(saved)]) == 2
+    assert not list(tmp_path.glob("*.rrd*"))
+
+
 def test_an_interrupted_comparison_keeps_the_file_of_before_and_leaves_no_part(
     pair: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

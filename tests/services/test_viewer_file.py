@@ -81,6 +81,16 @@ def test_a_saved_file_shades_each_frame_by_its_own_shape(saved: Path) -> None:
         assert np.abs(np.float32(normals[frame]) - expected).max() < 1e-3
 
 
+def test_an_interrupt_as_writing_begins_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nuno.viewer.file.describe", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        RerunFile(tmp_path / "run.rrd", Subject(run="run"))
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_conversions_of_one_run_are_equal(tmp_path: Path) -> None:
     fed = list(messages(5, 8, 6))
     for entity, column in ((CLOTH, "Mesh3D:vertex_positions"), ("/plots/energy/total", "Scalars:scalars")):
@@ -498,7 +508,7 @@ def test_a_live_view_of_a_loop_gets_each_message_once(
         frames, shown = len(list(opened.messages())), [m.topic for m in opened.messages() if m.topic != CHECKPOINT.name]
     monkeypatch.setattr("nuno.viewer.service.LiveView", Counting)
     monkeypatch.setattr(Replay, "_publish", publish_some)
-    assert main(["replay", str(recording), "--fast", "--loop", "--view", "web"]) == 1
+    assert main(["replay", str(recording), "--fast", "--loop", "--view", "web"]) == 0, "an interrupt is its end"
     assert Counter(fed) == Counter(shown)
     assert last == [LOOP]
 

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
+import zenoh
+
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at
@@ -38,10 +40,11 @@ from nuno.runtime import runs
 from nuno.runtime.outcome import find_nearest, find_spells, spell_rows
 from nuno.runtime.service import SUPERVISOR, Options, run_service
 from nuno.scene.recorded_scene import restored_scene
+from nuno.viewer.fields import QUANTITIES
 from nuno.viewer.live import add_view, choose_view, has_screen, keep_page, require
 from nuno_schemas.dyeing import DyeView, Form
 from nuno_schemas.errors import BadInput
-from nuno_schemas.messages import FRAMES
+from nuno_schemas.messages import EVENT, FRAMES, Event, Header
 
 # `nuno export`: meshes, arrays, tables, pictures and animations of a recording.
 
@@ -252,7 +255,7 @@ def view_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="files, or last")
     over = "several: lay them over each other, in a colour each (default: side by side)"
     parser.add_argument("--over", action="store_true", help=over)
-    parser.add_argument("--colour", choices=("auto", "cloth", "stretch"), default="auto", help="what is seen first")
+    parser.add_argument("--colour", choices=("auto", "cloth", *QUANTITIES), default="auto", help="what is seen first")
     add_view(parser)
 
 
@@ -325,15 +328,15 @@ def _replay(recording: Recording, args: argparse.Namespace) -> int:
         print(plain(f"replaying {recording.path} as {run} at {endpoint}"), file=sys.stderr)
         answer: dict[str, Any] = {}
         with _viewer(recording, bus, options, args.loop, answer) if shown else contextlib.nullcontext():
-            ended = _play(replay, bus, recording)
+            ended = early = _play(replay, bus, recording)
         while args.loop and not ended:  # the viewer has all frames, and plays them again itself
             ended = _play(replay, bus, recording)
-        keep_page(view, answer)
+        keep_page(view, answer, stays=not ended)
     total = sum(replay.sent.values())
     print(f"{total} messages, {replay.frames} frames")
-    if ended:
-        print(f"{ended} before the end of the recording", file=sys.stderr)
-    return int(bool(ended))
+    if early:
+        print(f"{early} before the end of the recording", file=sys.stderr)
+    return int(bool(early))
 
 
 def _play(replay: Replay, bus: Bus, recording: Recording) -> str:
@@ -347,8 +350,18 @@ def _play(replay: Replay, bus: Bus, recording: Recording) -> str:
 
 @contextlib.contextmanager
 def _viewer(recording: Recording, bus: Bus, options: Options, loop: bool, answer: dict[str, Any]) -> Iterator[None]:
-    """The viewer service, in a thread, for one pass of a replay; at its end `answer` gets the service's last."""
-    with restored_scene(recording) as loaded:
+    """The viewer service, in a thread, for one pass of a replay; what it says is printed, and at its end `answer` gets
+    the service's last.
+    """
+
+    def hear(sample: zenoh.Sample) -> None:
+        # A recording may hold what the viewer of its own run said.
+        header = Header.model_validate_json(sample.attachment.to_bytes() if sample.attachment else "{}")
+        if header.service == "viewer":
+            print(plain(Event.model_validate_json(sample.payload.to_bytes()).text), file=sys.stderr, flush=True)
+
+    heard = bus.session.declare_subscriber(bus.key(f"{EVENT.name}/viewer"), hear)
+    with heard, restored_scene(recording) as loaded:
         work = ("viewer", loaded, bus.session, bus.run, options)
         thread = threading.Thread(target=run_service, args=work, daemon=True)
         thread.start()

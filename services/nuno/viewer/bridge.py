@@ -137,7 +137,7 @@ class Bridge:
     live       the viewer follows the newest frame instead of playing from the start
     images     reads a texture by its path; returns None if it cannot
     painter    draws the scene's dyed cloth; None for a scene without dye
-    colour     what is seen first: cloth, or stretch; auto: as the view says
+    colour     what is seen first: cloth, or a field; auto: as the view says
     entities   those of a run that is compared with others, which leaves the blueprint to the comparison
     scales     colour scales of fields by name, which compared runs share
 
@@ -295,7 +295,7 @@ class Bridge:
     def _first_field(self) -> str:
         """Return the field that is seen first, "" for the cloth's own look."""
         if self.colour != "auto":
-            return self.colour if self.colour in self.window.fields else ""
+            return self.colour
         if any(cloth.meshed for cloth in self.cloths):
             return "stretch" if self.view.colour == "stretch" else ""
         return self.view.links if self.view.links in self.window.fields else ""

@@ -21,7 +21,7 @@ from nuno.recording.recorded import Recorded
 from nuno.viewer import layout
 from nuno.viewer.bridge import Bridge
 from nuno.viewer.dyed import DyedCloth
-from nuno.viewer.fields import QUANTITIES, Scale
+from nuno.viewer.fields import QUANTITIES, Scale, require_field
 from nuno.viewer.file import RrdFile, measure_scales, recorded_painter, subject_of
 from nuno.viewer.stream import APPLICATION, Subject
 from nuno_schemas.errors import BadInput
@@ -65,7 +65,7 @@ def compare(
     """Write two or more recordings to a rerun file that shows them in one view, each below an entity of its name.
 
     over      whether they are laid over each other, in a colour each; else they stand side by side
-    colour    what is seen first: cloth, stretch, or auto, as the first scene's view says
+    colour    what is seen first: cloth, a field, or auto, as the first scene's view says
     progress  is called with the messages done and in all
 
     Cloth of the same triangles as the first recording's also has its distance from that, in frames of the same time.
@@ -87,6 +87,7 @@ def compare(
         _log_all(compared, over, progress)
         for one in compared:
             one.bridge.flush()
+        require_field(colour, {name for one in compared for name in one.bridge.window.fields})
         _arrange(file, compared, over)
         return file.finish()
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nuno_schemas.colour import CONTROL, MISSING, parse_hex, to_srgb
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
 
 DIVERGING = ("#2166ac", "#67a9cf", "#d1e5f0", "#f6f1e6", "#fddbc7", "#ef8a62", "#b2182b")
@@ -140,6 +141,13 @@ def mean_curvature(x: Float, faces: Int, normals: Float) -> Float:
                 laplacian[axis] -= np.bincount(faces[:, k], pull[:, axis], number)
             area += np.bincount(faces[:, i], twice / 6.0, number)
         return np.asarray(-0.5 * (laplacian.T * normals).sum(axis=1) / area)
+
+
+def require_field(colour: str, fields: Collection[str]) -> None:
+    """Raise BadInput for a field that is to be seen first and is not among those that a recording has."""
+    if colour in QUANTITIES and colour not in fields:
+        limit = ", ".join(["auto", "cloth", *ordered(list(fields))])
+        raise BadInput(f"the recording has no {colour} to show", field="--colour", value=colour, limit=limit)
 
 
 def ordered(names: Sequence[str]) -> list[str]:

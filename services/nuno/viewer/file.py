@@ -23,7 +23,7 @@ from nuno.scene.recorded_scene import restored_scene
 from nuno.viewer.bridge import Bridge
 from nuno.viewer.cloth import ReadImage, field_values, read_image
 from nuno.viewer.dyed import viewer_painter
-from nuno.viewer.fields import Scale
+from nuno.viewer.fields import Scale, require_field
 from nuno.viewer.live import VIEWS
 from nuno.viewer.stream import OpenViewer, Subject, application, connect, describe, find_viewer, properties
 from nuno_schemas.errors import BadInput, RunFailed
@@ -51,10 +51,15 @@ class RrdFile:
         except OSError as error:
             remedy = "choose a folder that exists and can be written"
             raise BadInput(f"cannot write there: {error.strerror}", value=str(path), remedy=remedy) from None
-        self._copy = _save(self.recording, self._file)
-        self.recording.set_log_time_enabled(False)  # two conversions of one recording are equal
-        self.recording.set_log_tick_enabled(False)
-        describe(self.recording, subject)
+        self._copy: _Copy | None = None
+        try:
+            self._copy = _save(self.recording, self._file)
+            self.recording.set_log_time_enabled(False)  # two conversions of one recording are equal
+            self.recording.set_log_tick_enabled(False)
+            describe(self.recording, subject)
+        except BaseException:  # an interrupt, too
+            self.abort()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -190,9 +195,9 @@ def measure_scales(recording: Recording, scales: Mapping[str, Scale]) -> None:
 
 
 def convert(recording: Recording, path: Path, colour: str = "auto", progress: Progress | None = None) -> Path:
-    """Write every message of a finished recording to a rerun file, in which cloth is seen first by `colour`: cloth,
-    stretch, or auto, as the scene's view says. `progress` is called with the messages done and in all. Raises BadInput
-    for a damaged recording.
+    """Write every message of a finished recording to a rerun file, in which cloth is seen first by `colour`: cloth, a
+    field, or auto, as the scene's view says. `progress` is called with the messages done and in all. Raises BadInput
+    for a damaged recording, and for a field that it does not have.
     """
     with ExitStack() as stack:
         painter, subject = recorded_painter(recording, stack), subject_of(recording)
@@ -205,6 +210,7 @@ def convert(recording: Recording, path: Path, colour: str = "auto", progress: Pr
                 file.feed(message.topic, recording.mark(message)[0], message.t, message.payload)
         except BadMessage as error:
             raise BadInput(f"a message cannot be read: {error}", str(recording.path)) from None
+        require_field(colour, file.bridge.window.fields)
         return file.finish()
 
 
