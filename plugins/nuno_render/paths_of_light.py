@@ -5,11 +5,13 @@ from __future__ import annotations
 import functools
 import importlib.util
 import math
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -22,6 +24,7 @@ from nuno_render.config import PathsConfig
 from nuno_render.raster import encode_picture
 from nuno_render.refine import refine
 from nuno_render.scene import DrawnScene, gather
+from nuno_render.shading.fibre import NYLON, find_absorption
 from nuno_render.shading.ground import Ground, find_ground
 from nuno_render.shading.lighting import GROUND, KEY, SKY, key_direction, tangents, unit
 from nuno_render.sight import Sight, sight_of
@@ -155,7 +158,7 @@ def rgb(colour: Float) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(value) for value in colour]}
 
 
-EACH, GUIDES = 16, 8
+EACH, GUIDES = 16, 32
 """Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones; and rays a
 pixel that find colours and normals for the denoiser. Noise is known from the differences of two passes at least."""
 PROBE, MOST_PATHS, DEPTH = 0.1, 600_000, 7
@@ -168,6 +171,8 @@ SKY_MAP = (512, 256)
 FLAT, FILL = 0.5 * (SKY + GROUND) + (SKY - GROUND) / 3.0, 0.55
 """The raster renderer's light from all sides on a white floor, and the share of it here, where the floor throws light
 back."""
+ROUGH = 0.2
+"""Roughness of the surface of fibres, as in the picture `yarns`."""
 RINGS, AROUND, FAR = 48, 96, 5.0
 """Rings of the floor's vertices, vertices of each, and where it ends in the background's colour, in radii of the scene.
 """
@@ -210,7 +215,7 @@ class Paths:
         samples, (width, height) = -(-config.samples // number), camera.size
         bands = min(max(1, -(-width * height * samples // MOST_PATHS)), height)
         parts = number * bands
-        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 2.0 * GUIDES / samples))
+        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * GUIDES / samples))
         sensors = [stage.look(camera, *rows) for rows in pairwise(round(k * height / bands) for k in range(bands + 1))]
         sums = np.zeros((2, height, width, 3))
         squares = np.zeros_like(sums[0])
@@ -356,6 +361,7 @@ def set_stage(mi: Any, config: PathsConfig, meshes: list[Mesh], camera: Camera) 
     for number, mesh in enumerate(meshes):
         if len(faces := drawn.faces[drawn.mesh == number]):
             parts[f"mesh{number}"] = shape_of(stage, faces, mesh, float(np.linalg.norm(sight.eye)) / sight.focal)
+        parts |= {f"yarns{number}-{k}": shape for k, shape in enumerate(yarn_shapes(mi, mesh, origin))}
     stage.scene = mi.load_dict(parts)
     return stage
 
@@ -420,6 +426,37 @@ def shape_of(stage: Stage, faces: NDArray[np.int32], mesh: Mesh, pixel: float) -
         material = {"type": "twosided", "one": {"type": "principled", "base_color": colour, **material}}
     rows = {"vertex_positions": x, "vertex_normals": drawn.normals[used], "vertex_texcoords": uv}
     return make_mesh(mi, triangles, material, **rows, **({} if plain else {"vertex_color": colours}))
+
+
+def yarn_shapes(mi: Any, mesh: Mesh, origin: Float) -> Iterator[Any]:
+    """Yield the yarns of a mesh with finite points, those of one colour as one shape: fibres by the model of
+    `nuno_render.shading.fibre`, of which Mitsuba's `hair` samples each lobe.
+
+    Rejected: `principled` with sheen, which hides the skin, and is no faster: with `hair` a path goes on through yarns.
+    """
+    if (yarns := mesh.yarns) is None:
+        return
+    x, colours = np.asarray(mesh.vertices, np.float64) - origin, np.asarray(mesh.colours)[yarns.ptr[:-1]]
+    for colour in np.unique(colours, axis=0):
+        curves = []
+        for y in np.flatnonzero((colours == colour).all(axis=1)):
+            p = x[yarns.ptr[y] : yarns.ptr[y + 1]]
+            if len(p) > 1 and np.isfinite(p).all():
+                # A B-spline goes nearly through its control points if they are dense; one more at each end lets it
+                # begin and end at the yarn's ends, or closes a ring.
+                ring = len(p) > 3 and (p[0] == p[-1]).all()
+                ends = (p[-2], p[1]) if ring else (2.0 * p[0] - p[1], 2.0 * p[-1] - p[-2])
+                rows = np.insert(np.stack([ends[0], *p, ends[1]]), 3, yarns.radius[y], axis=1)
+                curves.append("\n".join("{:.9g} {:.9g} {:.9g} {:.9g}".format(*row) for row in rows.tolist()))
+        material = {
+            "type": "hair", "int_ior": NYLON, "scale_tilt": 0.0, "longitudinal_roughness": ROUGH,
+            "azimuthal_roughness": ROUGH, "sigma_a": rgb(find_absorption(colour, ROUGH)),
+        }  # fmt: skip
+        with tempfile.TemporaryDirectory(prefix="nuno-") as folder:
+            path = Path(folder, "yarns.txt")
+            path.write_text("\n\n".join(curves))
+            if curves:
+                yield mi.load_dict({"type": "bsplinecurve", "filename": str(path), "bsdf": material})
 
 
 def make_mesh(mi: Any, faces: NDArray[Any], material: dict[str, Any], **rows: Float) -> Any:

@@ -159,7 +159,8 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
     faces = np.ascontiguousarray(faces[kept], np.int32)
     used = np.zeros(len(positions), np.bool_)
     used[faces] = True
-    drawn = positions[used] if len(faces) else np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    used |= finite & np.repeat([m.yarns is not None for m in meshes], [len(m.vertices) for m in meshes]).astype(bool)
+    drawn = positions[used] if used.any() else np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
     own = join_rows([np.full((len(m.vertices), 3), np.nan) if m.normals is None else m.normals for m in meshes], 3)
     centre = (drawn.min(axis=0) + drawn.max(axis=0)) / 2.0
     radius = float(np.sqrt(((drawn - centre) ** 2).sum(axis=1).max()))

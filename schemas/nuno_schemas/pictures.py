@@ -118,7 +118,8 @@ SKIN = "skin"
 class Mesh:
     """Something to draw: vertices (n, 3) [m], faces (f, 3), colours (n, 3) float in [0, 1]
     linear or None, uv (n, 2) and image (h, w, 3) uint8 or None; material: the name of a cloth's fabric, or SKIN, for
-    renderers that draw what they know of it; normals (n, 3) of length 1, or None for those of the faces.
+    renderers that draw what they know of it; normals (n, 3) of length 1, or None for those of the faces; yarns: curves
+    through the vertices, which stand for their points, for renderers that draw them.
     """
 
     vertices: Float
@@ -129,6 +130,7 @@ class Mesh:
     two_sided: bool = True
     material: str = ""
     normals: Float | None = None
+    yarns: YarnCurves | None = None
 
 
 @dataclass(frozen=True)

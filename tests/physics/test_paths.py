@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
+from straight_yarns import above, curves, shares
 
 from nuno_render.config import PathsConfig, RasterConfig
-from nuno_render.paths_of_light import Paths
+from nuno_render.paths_of_light import ROUGH, Paths, load_mitsuba, yarn_shapes
 from nuno_render.raster import Raster
+from nuno_render.shading.fibre import find_absorption, find_energies
 from nuno_schemas.colour import to_linear
 from nuno_schemas.pictures import Camera, Mesh, axes, frame
 
@@ -150,3 +152,58 @@ def test_denim_shows_its_twill_from_near_where_satin_is_smooth() -> None:
         return float(np.abs(np.diff(near, axis=1)).mean() / near.mean())
 
     assert grain("denim") > 3.0 * grain("silk")
+
+
+RADIUS = 0.05
+ALONG = np.linspace(-1.5, 1.5, 49)
+BENT = np.stack([ALONG, 0.4 * np.sin(2.0 * ALONG), 0.3 * np.cos(3.0 * ALONG)], axis=1)
+TURN = np.linspace(0.0, 2.0 * np.pi, 49)
+RING = np.stack([0.6 * np.cos(TURN), 0.6 * np.sin(TURN), 0.0 * TURN], axis=1)
+RING[-1] = RING[0]
+
+
+def knitted(lines: list[np.ndarray], colour: np.ndarray) -> Mesh:
+    yarns = curves(lines, RADIUS)
+    colours = np.tile(colour, (len(yarns.points), 1))
+    return Mesh(yarns.points, np.zeros((0, 3), np.int32), colours, two_sided=False, yarns=yarns)
+
+
+def test_a_fibre_in_even_light_is_as_bright_as_its_energies_say() -> None:
+    """In the closed form of Fresnel's and Beer's laws; a clear one cannot be seen."""
+    mi, _ = load_mitsuba()
+    line = np.stack([ALONG, 0.0 * ALONG, 0.0 * ALONG], axis=1)
+    above = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]).scale([RADIUS] * 3)
+    look = {
+        "type": "orthographic", "to_world": above,
+        "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
+    }  # fmt: skip
+    for colour in (np.ones(3), np.array([0.6, 0.2, 0.05])):
+        (fibre,) = yarn_shapes(mi, knitted([line], colour), np.zeros(3))
+        parts = {"fibre": fibre, "light": {"type": "constant"}, "look": look, "by": {"type": "path"}}
+        scene = mi.load_dict({"type": "scene", **parts})
+        seen = np.array(mi.render(scene, spp=256, seed=1))[..., :3].mean(axis=(0, 1))
+        assert seen == pytest.approx(sum(find_energies(find_absorption(colour, ROUGH))), rel=0.02)
+
+
+def test_yarns_cover_what_rays_find_of_them_within_a_pixel() -> None:
+    """A bent yarn reaches its ends, and a ring has no gap."""
+    mesh, camera = knitted([BENT, RING], np.full(3, 0.01)), above(1.8, (60, 60), 20.0)
+    black, white = (
+        light(draw([mesh], camera, samples=16, ground="none", background=(one, one))) for one in ("#000000", "#ffffff")
+    )
+    mine, other = (white - black)[..., 1] < 0.5, shares(mesh.yarns, camera) > 0.5
+    assert 0.03 < mine.mean() < 0.3
+    for one, two in ((mine, other), (other, mine)):
+        assert not (one & ~binary_dilation(two, np.ones((3, 3)))).any()
+
+
+def test_skin_shows_through_a_clear_yarn_and_not_through_a_dark_one() -> None:
+    """Yarns side by side over red skin: clear ones pass its colour."""
+    lines = [np.stack([ALONG, 0.0 * ALONG + y, 0.0 * ALONG], axis=1) for y in np.arange(-1.5, 1.5, 2.0 * RADIUS)]
+    x = np.array([[-3.0, -3, -0.3], [3, -3, -0.3], [3, 3, -0.3], [-3, 3, -0.3]])
+    skin = Mesh(x, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.tile([0.8, 0.1, 0.1], (4, 1)), two_sided=False)
+    camera, redness = above(0.5, (24, 24), 20.0), []
+    for colour in (1.0, 0.01):
+        seen = light(draw([knitted(lines, np.full(3, colour)), skin], camera, samples=64, ground="none"))
+        redness.append(float((seen[..., 0] - seen[..., 2]).mean()))
+    assert redness[0] > 5.0 * max(redness[1], 0.0) and redness[0] > 0.05

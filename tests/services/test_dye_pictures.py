@@ -183,6 +183,14 @@ def test_a_picture_that_cannot_be_drawn_is_refused_before_the_run(
     assert words in str(refused.value)
 
 
+def test_a_flat_cloth_is_refused_by_another_renderer_before_it_is_looked_for(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("nuno_render.paths_of_light.Paths.require", lambda self: pytest.fail("asked for Mitsuba"))
+    assert main(["export", str(recording), "--png", str(recording.with_name("no.png")), "--renderer", "paths"]) == 2
+    assert "--renderer" in capsys.readouterr().err and not recording.with_name("no.png").exists()
+
+
 def test_the_bar_of_a_caption_is_as_long_as_it_says() -> None:
     for pixel in np.geomspace(1e-7, 1e-2, 23):
         length, label = _bar(float(pixel), 800)

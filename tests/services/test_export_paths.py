@@ -13,10 +13,15 @@ import pytest
 from PIL import Image
 from recorded_sheet import RATE, Sheet, write
 
+import nuno
 from nuno.cli import main
 from nuno.exports.animations import Shot, export_animation
+from nuno.exports.camera import z_up
+from nuno.exports.dyed_pictures import Changes
 from nuno.exports.pictures import MOMENTS, Painter, Rendering, draw_frames, export_picture
+from nuno.exports.yarns import make_yarns
 from nuno.recording.reader import open_recording
+from nuno_schemas.colour import parse_hex
 from nuno_schemas.errors import BadInput
 
 SIZE = (96, 64)
@@ -49,6 +54,24 @@ def test_a_film_by_paths_has_its_pictures(path: Path, tmp_path: Path) -> None:
         assert getattr(image, "n_frames", 1) == 3
 
 
+def test_a_knit_is_drawn_by_the_curves_that_are_exported(tmp_path: Path) -> None:
+    """With the radius and colour that are asked for, and by its stretch as links, as before."""
+    pytest.importorskip("mitsuba")
+    nuno.run("knit/stitch-10x10", "duration=0.3", record=tmp_path / "knit.mcap")
+    changes = Changes(overrides=("view.yarns.radius=30mm", "view.yarns.colour=#804020", "view.azimuth=10deg"))
+    with open_recording(tmp_path / "knit.mcap") as recording:
+        last = list(recording.frames())[-1]
+        (mesh,) = Painter(recording, [last], SIZE, changes=changes, rendering=Rendering("paths", 1)).meshes(last)
+        wanted = make_yarns(recording, last, settings={"radius": 0.03}).curves
+        by_stretch = Painter(recording, [last], SIZE, colour="stretch", rendering=Rendering("paths", 1)).meshes(last)
+    assert mesh.yarns is not None and wanted is not None and by_stretch[0].yarns is None
+    assert np.array_equal(mesh.vertices, z_up(wanted.points)) and np.array_equal(mesh.yarns.radius, wanted.radius)
+    assert np.unique(np.asarray(mesh.colours), axis=0) == pytest.approx(parse_hex("#804020")[None])
+    out = export_picture(tmp_path / "knit.mcap", tmp_path / "a.png", size=SIZE, rendering=Rendering("paths", 1))
+    with Image.open(out) as image:
+        assert np.ptp(np.asarray(image.convert("L"))) > 30
+
+
 @pytest.mark.parametrize(
     ("flags", "field"),
     [
@@ -58,6 +81,7 @@ def test_a_film_by_paths_has_its_pictures(path: Path, tmp_path: Path) -> None:
         (["--renderer", "raster", "--samples", "5"], "--samples"),
         (["--samples", "5"], "--samples"),
         (["--shutter", "0.5"], "--shutter"),
+        (["--renderer", "paths", "--style", "yarns"], "--renderer"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_before_anything_starts(

@@ -110,24 +110,29 @@ class Painter:
 
     def __post_init__(self) -> None:
         check_colour(self.colour)
+        self._curves: tuple[int, Mesh] | None = None
         self.cloth = Pieces(self.recording)
         self.bodies: ShownBodies | None = read_bodies(self.recording)
         measured = self.colour in ("stretch", "pressure")
         changes = self.changes or Changes()
-        camera, of_dye = of_camera(self.recording, changes.overrides)
+        self.renderer = self.rendering.load()
+        slow = isinstance(self.renderer, Progressive)
+        self.knit = slow and not measured and "edge_yarn" in self.recording.fabric()[0]
+        self.of_yarns = tuple(item for item in changes.overrides if self.knit and item.startswith("view.yarns"))
+        others = [item for item in changes.overrides if item not in self.of_yarns]
+        camera, of_dye = of_camera(self.recording, others)
         self.dyed = None if measured else read_dyed_object(self.recording, replace(changes, overrides=of_dye))
         self.pressure = require_pressure(self.recording) if self.colour == "pressure" else None
         self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
-        self.renderer = self.rendering.load()
-        if self.rendering.samples is not None or isinstance(self.renderer, Progressive):
+        if self.rendering.samples is not None or slow:
             self.options = {} if self.rendering.samples is None else {"samples": self.rendering.samples}
         self.fabrics, self.persons = name_materials(self.recording.scene)
         self.view = read_view(self.recording, camera)
-        self.ground = self._ground([mesh for frame in self.shown for mesh in self.meshes(frame)])
+        self.ground = self._ground([mesh for frame in self.shown for mesh in self._plain(frame)])
         dyed = "" if self.dyed is None else self.dyed.name
         first = self.pieces(self.shown[0].t if self.shown else 0.0)
         plain = [p for p in first if p.image is None and p.colour is None and p.name != dyed]
-        by_stretch = any(len(piece.edges) and piece.yarns is None for piece in plain)
+        by_stretch = not self.knit and any(len(piece.edges) and piece.yarns is None for piece in plain)
         legend = {"label": "stretch (log scale)", "low": STRETCH[0], "high": STRETCH[1], "format": "percent"}
         self.legend = legend if by_stretch else None
         if self.pressure is not None:
@@ -160,8 +165,9 @@ class Painter:
         meshes, camera = meshes or self.meshes(frame), turned(self.camera, angle)
         if not isinstance(self.renderer, Progressive):
             return np.asarray(self.renderer.render(config, meshes, camera))
-        cloth, tell, started = meshes[: len(self.pieces(frame.t))], self.rendering.tell, time.perf_counter()
-        if not any(np.isfinite(mesh.vertices[mesh.faces]).all(axis=(1, 2)).any() for mesh in cloth):
+        tell, started, pieces = self.rendering.tell, time.perf_counter(), self.pieces(frame.t)
+        parts = [(frame.x[one.start : one.stop], one.faces if len(one.faces) else one.edges) for one in pieces]
+        if not any(np.isfinite(x[corners]).all(axis=(1, 2)).any() for x, corners in parts):
             problem, remedy = "there is no cloth to draw in this frame", "choose another, or leave --renderer out"
             raise BadInput(problem, str(self.recording.path), field="--frame", value=frame.number, remedy=remedy)
         for part in self.renderer.passes(config, meshes, camera):
@@ -201,12 +207,23 @@ class Painter:
         return [coloured(piece, self.colour) for piece in self.cloth.at(t)]
 
     def meshes(self, frame: Frame) -> list[Mesh]:
-        """Return all meshes of a frame, rotated to z up, for renderer and camera."""
+        """Return all meshes of a frame, rotated to z up, for the renderer, which may draw yarns as curves."""
+        if not self.knit or not np.isfinite(frame.x).all():
+            return self._plain(frame)
+        if self._curves is None or self._curves[0] != frame.number:
+            from nuno.exports.yarns import read_curves  # models of cloth, for which other pictures have no use
+
+            self._curves = frame.number, read_curves(self.recording, frame, self.of_yarns)
+        made = zip(self._cloth(frame), self.cloth.at(frame.t), strict=True)
+        return [self._curves[1], *(mesh for mesh, one in made if one.yarns is None), *self._bodies(frame)]
+
+    def _plain(self, frame: Frame) -> list[Mesh]:
+        """Return all meshes of a frame, rotated to z up, without curves."""
         return [*self._cloth(frame), *self._bodies(frame)]
 
     def _fitted(self, frame: Frame) -> list[Mesh]:
         """Return the meshes to which the camera is fitted."""
-        return self._cloth(frame) if self.view.close else self.meshes(frame)
+        return self._cloth(frame) if self.view.close else self._plain(frame)
 
     def _cloth(self, frame: Frame) -> list[Mesh]:
         pieces = self.pieces(frame.t)

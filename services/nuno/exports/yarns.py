@@ -25,6 +25,7 @@ from nuno.simulation import cloth
 from nuno.simulation.cloth import build_fabric
 from nuno.simulation.yarns import find_pressure, has_pressure, structural_edges
 from nuno_schemas.bodies import OF_TRIANGLES
+from nuno_schemas.colour import parse_hex
 from nuno_schemas.dyeing import Form
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
@@ -125,6 +126,19 @@ def make_curves(loaded: Loaded, fabric: Fabric, frame: Frame, config: BaseModel)
     if curves is None:
         return None
     return YarnCurves(z_up(curves.points), curves.ptr, curves.radius, curves.kind, curves.names, z_up(curves.normal))
+
+
+def read_curves(recording: Recording, frame: Frame, overrides: tuple[str, ...] = ()) -> Mesh:
+    """Return a knit's yarns as curves with the radius and the colours of the style `yarns`, z up. Raises BadInput."""
+    with styled(recording, STYLE, overrides) as (loaded, chosen):
+        fabric, pieces = build_fabric(loaded)
+        yarns = make_curves(loaded, fabric, frame, chosen.config)
+    if yarns is None:
+        raise BadInput("the knit's yarns make no curves", str(recording.path), value=frame.number)
+    config: Any = captioned(chosen, "", frame.t, [piece.colour for piece in pieces if piece.colour])
+    table = np.stack([parse_hex(one) for one in ((config.colour,) if config.colour else config.colours)])
+    colours = table[yarns.kind % len(table)][yarns.yarn()]
+    return Mesh(yarns.points, np.zeros((0, 3), np.int32), colours, two_sided=False, yarns=yarns)
 
 
 def find_camera(view: View, worn: Worn, size: tuple[int, int] | None) -> Camera:

@@ -236,6 +236,10 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     if not any(getattr(asked, name) for name in FILES):
         remedy = "for example --npz out.npz --png out.png"
         raise BadInput("nothing to export was asked for", remedy=remedy)
+    _check_dye(recording, asked)
+    if asked.style and asked.renderer:
+        remedy = "leave it out, or leave --style out: paths draws a knit's yarns by itself"
+        raise BadInput("a style is drawn by rays", field="--renderer", value=asked.renderer, remedy=remedy)
     if asked.renderer is not None:
         _rendering(asked).load()
     if asked.side and asked.style:
@@ -270,7 +274,6 @@ def _check(recording: Recording, asked: ExportRequest) -> None:
     if asked.style and (recording.dyed_alone or not asked.png):
         problem = "a style is for --png of a knit"
         raise BadInput(problem, str(recording.path), field="--style", value=asked.style, remedy="leave it out")
-    _check_dye(recording, asked)
     _check_frames(recording, asked)
 
 
@@ -323,7 +326,7 @@ def _check_dye(recording: Recording, asked: ExportRequest) -> None:
         if shapes:
             problem, remedy = "a recording of dye holds a cloth without a shape", "draw it: --png, --gif, --mp4"
             raise BadInput(problem, str(recording.path), field=f"--{shapes[0]}", remedy=remedy)
-        flat = "a cloth that is dyed alone lies flat"
+        flat = "leave it out: a cloth that is dyed alone lies flat, and its picture is an image of its cells"
         for name, remedy in (("size", "--scale N gives pixels a cell"), ("colour", "--view says which dye is shown"),
                              ("side", flat), ("turn", flat), ("shutter", flat), ("renderer", flat)):  # fmt: skip
             if getattr(asked, name) not in (None, "auto"):
