@@ -71,8 +71,11 @@ LOOKS = {
 """By the names of presets. Weaves and pitches are usual for such cloth; the rest, which no source has, was chosen by
 eye."""
 
-YARNS, PIXELS = 120, 6
+YARNS, PIXELS = 120, 10
 """Yarns along a side of a repeating texture, which all weaves divide, and its pixels a yarn."""
+PERIODS = {"plain": 1.4, "twill": 2.8, "satin": 2.2, "jersey": 1.0, "rib": 4.0}
+"""Least distance at which weaves and stitches repeat, in pitches. Below 1.5 pixels, which would show lines that cloth
+has not, they are drawn by their mean, and from 2.5 pixels on with all their contrast."""
 RELIEF, CAVITY = 0.35, 0.4
 """Height of yarns over the places between them, in pitches, and the share of light that does not reach these."""
 
@@ -89,10 +92,15 @@ def draw_tile(weave: str, slub: float) -> tuple[NDArray[np.float32], NDArray[np.
     spun = 1.0 + 0.7 * slub * (random.standard_normal((2, 1, YARNS)) + np.sqrt(YARNS // 3) * places)
     warps, wefts = spun[0][row, column], spun[1][column, row]
     if weave in ("jersey", "rib"):
-        # The two legs of a stitch lean outwards, and end under those of the next course.
+        # The two legs of a stitch lean outwards from its foot, which the head of the stitch below holds; each is thick
+        # in its middle, and ends beneath the next course.
         rise, side = 1.0 - y % 1.0, np.abs(x % 1.0 - 0.5)
-        height = np.maximum(*(_round((side - 0.1 - 0.13 * (rise + k)) / 0.14) - 0.9 * k * rise for k in (0, 1)))
-        height, warp = height + 1.5 * (weave == "rib") * np.sin(2.0 * np.pi * x / 4.0), np.ones_like(x)
+        height = np.maximum(*(
+            _round((side - 0.1 - 0.17 * (rise + k)) / 0.18) * _round((rise + k) / 0.9 - 1.0) - 0.3 * k for k in (0, 1)
+        ))  # fmt: skip
+        # Wales are round, with grooves between them.
+        height, warp = height + 0.8 * _round(2.0 * side), np.ones_like(x)
+        height += 0.8 * (weave == "rib") * np.sin(2.0 * np.pi * x / 4.0)
     else:
         step, float_of = {"plain": (1, 2), "twill": (1, 4), "satin": (2, 5)}[weave]
         up = ((row + step * column) % float_of != 0).astype(float)
@@ -122,20 +130,20 @@ def cloth_material(mi: Any, look: Look, colour: Any, unit: tuple[float, float] |
     lobes, narrow along warp and along weft, each where its yarns are on top.
     """
     on_top, height, bright = draw_tile(look.weave, look.slub)
-    seen = min(max(look.pitch / pixel - 0.4, 0.0), 1.0) if unit else 0.0
+    seen = min(max(PERIODS[look.weave] * look.pitch / pixel - 1.5, 0.0), 1.0) if unit else 0.0
     plain = np.asarray(colour["value"] if colour["type"] == "rgb" else (0.6, 0.6, 0.6), np.float64)
 
     def texture(values: NDArray[np.float32]) -> dict[str, Any]:
         scale = mi.ScalarTransform4f().scale([side / (YARNS * look.pitch) for side in unit or ()] + [1.0])
         return {"type": "bitmap", "bitmap": mi.Bitmap(np.atleast_3d(values)), "raw": True, "to_uv": scale}
 
-    if unit and colour["type"] == "rgb":
+    if seen and colour["type"] == "rgb":
         # Some of the weft's colour is white; the mean of all yarns stays.
         warp = float(on_top.mean())
         white = plain + look.weft * (0.8 - plain)
         dyed = np.maximum((plain - (1.0 - warp) * white) / max(warp, 0.1), 0.3 * plain)
         yarns = np.where(on_top[..., None] < 0.5, white, dyed) * bright[..., None]
-        colour = texture(np.clip(yarns, 0.0, 1.0).astype(np.float32))
+        colour = texture(np.clip(plain + seen * (yarns - plain), 0.0, 1.0).astype(np.float32))
     scatter = {
         "type": "principledthin", "base_color": colour, "roughness": 0.7, "spec_trans": 0.0, "sheen": look.sheen,
         "sheen_tint": 0.5, "diff_trans": look.thin,
@@ -158,7 +166,7 @@ def rgb(colour: Float) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(value) for value in colour]}
 
 
-EACH, GUIDES = 16, 32
+EACH, GUIDES = 16, 2
 """Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones; and rays a
 pixel that find colours and normals for the denoiser. Noise is known from the differences of two passes at least."""
 PROBE, MOST_PATHS, DEPTH = 0.1, 600_000, 7
@@ -215,7 +223,7 @@ class Paths:
         samples, (width, height) = -(-config.samples // number), camera.size
         bands = min(max(1, -(-width * height * samples // MOST_PATHS)), height)
         parts = number * bands
-        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * GUIDES / samples))
+        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * GUIDES * EACH / samples))
         sensors = [stage.look(camera, *rows) for rows in pairwise(round(k * height / bands) for k in range(bands + 1))]
         sums = np.zeros((2, height, width, 3))
         squares = np.zeros_like(sums[0])
@@ -282,7 +290,8 @@ def _denoiser(stage: Stage, sensors: list[Any], empty: Float) -> Callable[[Float
     except (ImportError, OSError):
         return None
     guide = stage.mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
-    drawn = np.concatenate([stage.render(sensor, guide, GUIDES, i) for i, sensor in enumerate(sensors)])[..., -6:]
+    rows = [[stage.render(one, guide, EACH, GUIDES * i + k) for k in range(GUIDES)] for i, one in enumerate(sensors)]
+    drawn = np.concatenate([np.mean(parts, axis=0) for parts in rows])[..., -6:]
     albedo = (drawn[..., :3] + empty * stage.fading((np.arange(len(drawn)) + 0.5) / len(drawn))[:, None]).astype(
         np.float32
     )

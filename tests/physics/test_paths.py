@@ -148,7 +148,7 @@ def test_satin_shines_along_its_yarns() -> None:
 @pytest.mark.full
 def test_denim_shows_its_twill_from_near_where_satin_is_smooth() -> None:
     def grain(name: str) -> float:
-        near = cloth_light(name, 0.06)
+        near = cloth_light(name, 0.03)
         return float(np.abs(np.diff(near, axis=1)).mean() / near.mean())
 
     assert grain("denim") > 3.0 * grain("silk")
