@@ -166,9 +166,10 @@ def rgb(colour: Float) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(value) for value in colour]}
 
 
-EACH, GUIDES = 16, 2
-"""Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones; and rays a
-pixel that find colours and normals for the denoiser. Noise is known from the differences of two passes at least."""
+EACH = 16
+"""Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones. Noise is known
+from the differences of two passes at least. Half as many rays find colours and normals for the denoiser, in passes of
+this size, too: threads add up more rays of a pixel in any order."""
 PROBE, MOST_PATHS, DEPTH = 0.1, 600_000, 7
 """Width and height of the picture that tells how long the whole takes, as a share of its own; paths between two looks
 at an interruption; and the most segments of a path: light reaches the inside of a skirt after several."""
@@ -222,8 +223,8 @@ class Paths:
         number = min(max(-(-config.samples // EACH), 2), config.samples)
         samples, (width, height) = -(-config.samples // number), camera.size
         bands = min(max(1, -(-width * height * samples // MOST_PATHS)), height)
-        parts = number * bands
-        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * GUIDES * EACH / samples))
+        parts, guides = number * bands, -(-number // 2)
+        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * guides))
         sensors = [stage.look(camera, *rows) for rows in pairwise(round(k * height / bands) for k in range(bands + 1))]
         sums = np.zeros((2, height, width, 3))
         squares = np.zeros_like(sums[0])
@@ -239,7 +240,11 @@ class Paths:
             squares += light**2
         picture = sums.sum(axis=0) / number
         noise = _relative(np.maximum(squares / number - picture**2, 0.0) / max(number - 1, 1), picture)
-        if number > 1 and config.denoise and (denoise := _denoiser(stage, sensors, 1.0 - seen[..., 3:])) is not None:
+        if (
+            number > 1
+            and config.denoise
+            and (denoise := _denoiser(stage, sensors, 1.0 - seen[..., 3:], guides)) is not None
+        ):
             how = f"{how}, {noise:.2%} before Open Image Denoise"
             even, odd = denoise(sums[0] / ((number + 1) // 2)), denoise(sums[1] / (number // 2))
             picture = denoise(picture)
@@ -280,17 +285,17 @@ def _relative(variance: Float, picture: Float) -> float:
     return math.sqrt(float(variance.mean())) / (float(picture.mean()) or 1.0)
 
 
-def _denoiser(stage: Stage, sensors: list[Any], empty: Float) -> Callable[[Float], Float] | None:
+def _denoiser(stage: Stage, sensors: list[Any], empty: Float, guides: int) -> Callable[[Float], Float] | None:
     """Return a function that takes noise from a picture (h, w, 3), by Open Image Denoise with the colours and normals
-    of surfaces; None where it is not installed. The background, of a share `empty` (h, w, 1), is to it a floor, so that
-    the floor's end is no edge.
+    of surfaces, from so many passes; None where it is not installed. The background, of a share `empty` (h, w, 1), is
+    to it a floor, so that the floor's end is no edge.
     """
     try:
         import pyoidn
     except (ImportError, OSError):
         return None
     guide = stage.mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
-    rows = [[stage.render(one, guide, EACH, GUIDES * i + k) for k in range(GUIDES)] for i, one in enumerate(sensors)]
+    rows = [[stage.render(one, guide, EACH, guides * i + k) for k in range(guides)] for i, one in enumerate(sensors)]
     drawn = np.concatenate([np.mean(parts, axis=0) for parts in rows])[..., -6:]
     albedo = (drawn[..., :3] + empty * stage.fading((np.arange(len(drawn)) + 0.5) / len(drawn))[:, None]).astype(
         np.float32
