@@ -51,8 +51,8 @@ def make(name: str) -> None:
     recording, picture = RECORDINGS / f"{scene.replace('/', '-')}.mcap", FOLDER / f"{name}.png"
     if not recording.is_file() and main(["run", scene, "--record", str(recording), "--no-view"]):
         raise SystemExit(f"{scene} did not run")
-    drawn = ["--png", str(picture), "--renderer", "paths", "--samples", "64"]
-    if main(["export", str(recording), *drawn, *shlex.split(settings)]):
+    drawn = f"--renderer paths {'' if '--samples' in settings else '--samples 64'} {settings}"
+    if main(["export", str(recording), "--png", str(picture), *shlex.split(drawn)]):
         raise SystemExit(f"{name} could not be drawn")
     with Image.open(picture) as found:
         image = found.convert("RGB")

@@ -167,7 +167,7 @@ def gather(meshes: list[Mesh], origin: Float, up: Float) -> DrawnScene:
     return DrawnScene(
         positions,
         np.where(np.isfinite(own), own, vertex_normals(positions, faces, np.arange(len(positions), dtype=np.int32))),
-        join_rows([_albedo(m) for m in meshes], 3),
+        join_rows([albedo_of(m) for m in meshes], 3),
         join_rows(
             [np.zeros((len(m.vertices), 2)) if m.uv is None else np.asarray(m.uv, np.float64) for m in meshes], 2
         ),
@@ -221,7 +221,7 @@ def check_mesh(mesh: Mesh, name: str) -> None:
         raise BadInput("not an RGB image", field=f"{name}.image", value=(image.shape, str(image.dtype)), limit=limit)
 
 
-def _albedo(mesh: Mesh) -> Float:
+def albedo_of(mesh: Mesh) -> Float:
     """Return linear albedo (n, 3): the mesh's colours, white under an image, or the default."""
     if mesh.colours is not None:
         return np.clip(np.nan_to_num(np.asarray(mesh.colours, np.float64)), 0.0, 1.0)
