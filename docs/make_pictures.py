@@ -30,7 +30,7 @@ PICTURES = {
     ),
     "skirt-dyed": ("skirt-dyed", ""),
     "contact-knot": ("contact/knot", "--size 640x480 --set view.distance=0.3"),
-    "towel": ("towel", "--frame 118 --side close"),
+    "towel": ("towel", "--frame 118 --side close --size 800x600"),
     "sewn-top-wrinkles": ("sewn/top-wrinkles", ""),
     "sewn-top": ("sewn/top", ""),
     "sewn-dress-walk": ("sewn/dress-walk", "--size 700x900"),
@@ -46,7 +46,7 @@ PICTURES = {
 
 
 def make(name: str) -> None:
-    """Draw a picture, of at most MOST_BYTES: with 256 colours, dithered, where it would be larger."""
+    """Draw a picture, of at most MOST_BYTES: with 256 colours where it would be larger."""
     scene, settings = PICTURES[name]
     recording, picture = RECORDINGS / f"{scene.replace('/', '-')}.mcap", FOLDER / f"{name}.png"
     if not recording.is_file() and main(["run", scene, "--record", str(recording), "--no-view"]):
