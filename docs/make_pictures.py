@@ -36,11 +36,7 @@ PICTURES = {
     "sewn-dress-walk": ("sewn/dress-walk", "--size 700x900"),
     "drape-over-sphere": ("drape-over-sphere", ""),
     "circle-skirt": ("circle-skirt", "--size 640x480 --side close"),
-    "poncho": ("poncho", "--size 640x480 --side close"),
-    "contact-scarf": ("contact/scarf", "--size 640x480"),
-    "contact-two-garments": ("contact/two-garments", "--size 640x480"),
     "skirt-walk": ("skirt-walk", ""),
-    "five-sheets": ("contact/five-sheets", ""),
 }
 """Scene and settings of `nuno export` by the picture's name."""
 
