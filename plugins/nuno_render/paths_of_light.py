@@ -427,7 +427,7 @@ def shape_of(stage: Stage, faces: NDArray[np.int32], mesh: Mesh, pixel: float) -
     plain = bool((colours == colours[0]).all())
     colour: Any = rgb(colours[0]) if plain else {"type": "mesh_attribute", "name": "vertex_color"}
     if mesh.image is not None and mesh.uv is not None:
-        colour = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(mesh.image)), "wrap_mode": "repeat"}
+        colour = {"type": "bitmap", "bitmap": mi.Bitmap(np.array(mesh.image)), "wrap_mode": "repeat"}
     if mesh.two_sided:
         look = LOOKS.get(mesh.material, Look())
         material = cloth_material(mi, look, colour, unit_lengths(x, uv, triangles), pixel)

@@ -100,6 +100,7 @@ def test_floor_and_background_are_the_rasters_where_nothing_is_near() -> None:
 def test_a_print_lies_as_the_raster_draws_it() -> None:
     image = np.zeros((64, 64, 3), np.uint8)
     image[:32, :32], image[:32, 32:], image[32:, :32] = (255, 40, 40), (40, 255, 40), (40, 40, 255)
+    image.flags.writeable = False  # as decoded files are
     meshes = [sheet(image=image, wave=0.0)]
     camera = frame(meshes, 0.0, 0.0, SIZE)
     mine, raster = draw(meshes, camera, samples=16), Raster().render(RasterConfig(), meshes, camera)
