@@ -170,9 +170,12 @@ EACH = 16
 """Most paths a pixel in a pass, one in each cell of a grid, which halves the noise of independent ones. Noise is known
 from the differences of two passes at least. Half as many rays find colours and normals for the denoiser, in passes of
 this size, too: threads add up more rays of a pixel in any order."""
-PROBE, MOST_PATHS, DEPTH = 0.1, 600_000, 7
-"""Width and height of the picture that tells how long the whole takes, as a share of its own; paths between two looks
-at an interruption; and the most segments of a path: light reaches the inside of a skirt after several."""
+PROBE, LEAST_PROBE = 0.1, 128
+"""Width and height of the picture that tells how long the whole takes, as a share of its own; and the least of them
+[pixels]: a smaller one takes as long, whatever it shows."""
+MOST_PATHS, DEPTH = 2_000_000, 7
+"""Paths between two looks at an interruption, and the most segments of a path: light reaches the inside of a skirt
+after several."""
 LLVM = 17
 """First version of LLVM that compiles Mitsuba's kernels: earlier ones end the process at `fminimum`."""
 SKY_MAP = (512, 256)
@@ -224,7 +227,8 @@ class Paths:
         samples, (width, height) = -(-config.samples // number), camera.size
         bands = min(max(1, -(-width * height * samples // MOST_PATHS)), height)
         parts, guides = number * bands, -(-number // 2)
-        yield Pass(0, parts, how, _probe(stage, camera, tracer, samples) * (number + 0.6 * guides))
+        each, compiled = _probe(stage, camera, tracer, samples)
+        yield Pass(0, parts, how, each * (number + 0.6 * guides) + compiled * bands)
         sensors = [stage.look(camera, *rows) for rows in pairwise(round(k * height / bands) for k in range(bands + 1))]
         sums = np.zeros((2, height, width, 3))
         squares = np.zeros_like(sums[0])
@@ -267,14 +271,19 @@ def load_mitsuba() -> tuple[Any, str]:
     return mi, how
 
 
-def _probe(stage: Stage, camera: Camera, tracer: Any, samples: int) -> float:
-    """Return about how long a pass takes [s], by a small picture; a first one compiles the kernels."""
-    width, height = (max(round(side * PROBE), 1) for side in camera.size)
+def _probe(stage: Stage, camera: Camera, tracer: Any, samples: int) -> tuple[float, float]:
+    """Return about how long a pass takes, and how much longer the first one of each band, which compiles its kernels
+    [s], by a small picture.
+    """
+    share = min(max(PROBE, LEAST_PROBE / min(camera.size)), 1.0)
+    width, height = (max(round(side * share), 1) for side in camera.size)
     sensor = stage.look(replace(camera, size=(width, height)), 0, height)
+    times = [time.perf_counter()]
     for _ in range(2):
-        started = time.perf_counter()
         stage.render(sensor, tracer, samples, 0)
-    return (time.perf_counter() - started) / PROBE**2
+        times.append(time.perf_counter())
+    first, second = np.diff(times).tolist()
+    return second / share**2, max(first - second, 0.0)
 
 
 def _relative(variance: Float, picture: Float) -> float:
@@ -324,7 +333,12 @@ class Stage:
 
     def render(self, sensor: Any, integrator: Any, samples: int, seed: int) -> Float:
         """Return what a sensor sees (h, w, channels)."""
-        seen = self.mi.render(self.scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed)
+        try:
+            seen = self.mi.render(self.scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed)
+        except RuntimeError as error:
+            if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):  # as Dr.Jit passes it on
+                raise KeyboardInterrupt from None
+            raise
         return np.asarray(np.array(seen, np.float64))
 
     def look(self, camera: Camera, first: int, last: int) -> Any:
