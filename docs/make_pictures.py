@@ -29,6 +29,7 @@ PICTURES = {
         f"{STOCKING} --size 700x500 --set view.target=[0,0.33,0.03] --set view.distance=0.16",
     ),
     "skirt-dyed": ("skirt-dyed", ""),
+    "contact-two-garments": ("contact/two-garments", ""),
     "contact-knot": ("contact/knot", "--size 640x480 --set view.distance=0.3"),
     "towel": ("towel", "--frame 118 --side close --size 800x600"),
     "sewn-top-wrinkles": ("sewn/top-wrinkles", ""),
