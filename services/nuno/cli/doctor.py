@@ -47,7 +47,7 @@ def doctor_arguments(parser: argparse.ArgumentParser) -> None:
 def doctor_command(args: argparse.Namespace) -> int:
     """Print a line for each check; return 1 if no run would work."""
     del args
-    checks = (_machine, _memory, _kernels, _bus, _rerun, _mp4, _screen, _disk)
+    checks = (_machine, _memory, _kernels, _bus, _rerun, _mp4, _paths, _screen, _disk)
     names = ("nuno", "numpy", "numba", "llvmlite", "eclipse-zenoh", "mcap")
     rows = [Row("python", "ok", platform.python_version()), *(Row(name, "ok", version(name)) for name in names)]
     for check in checks:
@@ -132,6 +132,12 @@ def _mp4() -> Row:
     if importlib.util.find_spec("imageio_ffmpeg"):
         return Row("mp4", "ok", "can be exported")
     return Row("mp4", "note", "missing: no animations in MP4", "pip install 'nuno[video]'")
+
+
+def _paths() -> Row:
+    if importlib.util.find_spec("mitsuba"):
+        return Row("paths", "ok", "pictures by --renderer paths can be drawn")
+    return Row("paths", "note", "missing: no pictures by --renderer paths", "pip install 'nuno[paths]'")
 
 
 def _screen() -> Row:

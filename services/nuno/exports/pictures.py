@@ -40,6 +40,7 @@ from nuno.output_files import Progress, check_target, following, write_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import Recording, opened
 from nuno.recording.recorded import Frame
+from nuno.scene.validation_errors import explain
 from nuno_schemas.colour import parse_hex, to_linear, to_srgb
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -71,15 +72,17 @@ class Rendering:
 
     def load(self) -> Any:
         """Return the renderer. Raises BadInput for an unknown one, one that is not installed, and its samples."""
+        settings = {} if self.samples is None else {"samples": self.samples}
         try:
             plugin = registry.load("nuno.renderers", self.renderer)
             if isinstance(plugin, Progressive):
                 plugin.require()
-            plugin.Config(**({} if self.samples is None else {"samples": self.samples}))
+            plugin.Config(**settings)
         except BadInput as error:
             raise replace(error, field="--renderer", value=self.renderer) from None
         except ValidationError as error:
-            problem, limit = f"{self.renderer} does not draw so many samples a pixel", str(error.errors()[0]["msg"])
+            limit = explain(error, settings, (), "", {}, plugin.Config).limit
+            problem = f"{self.renderer} does not draw so many samples a pixel"
             raise BadInput(problem, field="--samples", value=self.samples, limit=limit) from None
         return plugin
 
