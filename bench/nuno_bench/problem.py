@@ -7,6 +7,7 @@ a solver's memory, such as friction anchors, belongs to one run.
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ from pydantic import BaseModel
 from nuno.collision.bodies import build_bodies
 from nuno.dye.run import DyeRun
 from nuno.plugin_contract import registry
+from nuno.process import attended
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
 from nuno.scene.step import choose_step
@@ -240,27 +242,37 @@ def simulate(
 ) -> Run:  # fmt: skip
     """Run a scene by one solver with `steps` steps per frame (for an adaptive one: at least).
 
-    disturbance (n, 3) [m] is added to the positions at the start. Raises BadInput if the solver
-    refuses its configuration.
+    disturbance (n, 3) [m] is added to the positions at the start. A frame that is not done after `most_seconds` in all,
+    or at an interrupt, is abandoned. Raises BadInput if the solver refuses its configuration.
     """
-    state = cloth.start_state(problem.fabric)
+    state, leave = cloth.start_state(problem.fabric), np.zeros(1, np.int64)
     if disturbance is not None:
         state.x += disturbance
-    memory = plugin.prepare(config, problem.system, state)
+    system = replace(problem.system, leave=leave)
+    memory = plugin.prepare(config, system, state)
     dt, places, reports = problem.frame / steps, list[Float](), list[StepReport]()
 
     def add(report: StepReport) -> None:
         places.append(state.x.copy())
         reports.append(report)
 
-    add(plugin.advance(problem.system, state, memory, problem.still(), 0, dt))
+    def stop() -> None:
+        leave[0] = 1
+
+    add(plugin.advance(system, state, memory, problem.still(), 0, dt))
 
     def advance(frame: int) -> tuple[StepReport, float]:
         state.t, start = (frame - 1) * problem.frame, time.perf_counter()
-        report = plugin.advance(problem.system, state, memory, problem.pair(frame - 1), steps, dt)
+        report = plugin.advance(system, state, memory, problem.pair(frame - 1), steps, dt)
         return report, time.perf_counter() - start
 
-    ended = advance_all(problem, advance, add, most_seconds)
+    timer = threading.Timer(min(most_seconds, threading.TIMEOUT_MAX), stop)
+    timer.daemon = True
+    timer.start()
+    try:
+        ended = attended(lambda: advance_all(problem, advance, add, most_seconds), stop)
+    finally:
+        timer.cancel()
     return Run(observe(problem, places, reports), *ended, reports)
 
 
@@ -294,10 +306,12 @@ def advance_all(
                 return "failed", f"at {frame * problem.frame:.3g} s: {error}", seconds, totals
             seconds += taken
             totals.update({"steps": report.steps} | {name: int(count) for name, count in report.totals.items()})
-            if report.status != "ok":
+            abandoned = report.status == "left"
+            if not abandoned and report.status != "ok":
                 return report.status, f"at {frame * problem.frame:.3g} s: {report.message}", seconds, totals
-            add(report)
-            if seconds > most_seconds and frame < problem.frames:
+            if not abandoned:
+                add(report)
+            if abandoned or (seconds > most_seconds and frame < problem.frames):
                 why = f"took more than {most_seconds:.3g} s before {frame * problem.frame:.3g} s"
                 return "cut", why, seconds, totals
     return "ok", "", seconds, totals

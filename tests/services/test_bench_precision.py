@@ -177,6 +177,13 @@ def test_a_step_beyond_the_limit_is_a_marked_failure(tmp_path: Path) -> None:
     assert all(point.setting in page and point.message in page for point in beyond)
 
 
+@pytest.mark.parametrize("solver", ["symplectic_euler", "implicit_euler"])
+def test_a_frame_that_would_take_hours_is_abandoned_when_its_time_is_over(solver: str, tmp_path: Path) -> None:
+    problem, plugin = problem_of(write_scene(tmp_path)), registry.load(GROUP, solver)
+    run = simulate(problem, plugin, plugin.Config(), 10**9, most_seconds=0.2)
+    assert run.status == "cut" and len(run.series.x) == 1
+
+
 def test_runs_of_one_problem_do_not_touch_each_other(tmp_path: Path) -> None:
     """The system is shared; friction anchors and steps are not."""
     problem = problem_of(write_scene(tmp_path, bodies=BALL, gravity=[0.0, -9.81, 0.0]))
