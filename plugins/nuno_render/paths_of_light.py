@@ -457,8 +457,8 @@ def shape_of(stage: Stage, faces: NDArray[np.int32], mesh: Mesh, pixel: float) -
 
 
 def yarn_shapes(mi: Any, mesh: Mesh, origin: Float) -> Iterator[Any]:
-    """Yield the yarns of a mesh with finite points, those of one colour as one shape: fibres by the model of
-    `nuno_render.shading.fibre`, of which Mitsuba's `hair` samples each lobe.
+    """Yield the yarns of a mesh with finite points, those of one colour as one shape. Mitsuba's `hair` has the lobes of
+    `nuno_render.shading.fibre`.
 
     Rejected: `principled` with sheen, which takes an eighth less time for a stocking, but passes no light: its yarns
     hide the skin.

@@ -90,3 +90,9 @@ def test_a_skeleton_that_is_no_person_is_refused() -> None:
     config = skeleton.Config.model_validate({"drawn": "person"})
     with pytest.raises(BadInput):
         skeleton.build(config, mover, None)
+
+
+def test_a_person_on_some_bones_is_refused() -> None:
+    scene = scene_file.read(shipped.scenes()["skirt-hula"], ("bodies.0.collider.bones=[left_arm]",))
+    with pytest.raises(BadInput, match="all bones"):
+        build_bodies(scene)

@@ -121,8 +121,8 @@ class _Cut:
         return np.maximum.accumulate(np.clip((share - share[0]) / whole, 0.0, 1.0)) if whole else ALONG
 
     def _spread(self, side: Side, length: float, gain: Float) -> None:
-        """Spread an edge's panel until the edge has a length [m], of which the points ALONG it gain these shares. The
-        end that is placed higher stays there, and both move alike where they are level. Raises BadInput.
+        """Spread an edge's panel until the edge has a length [m]; `gain` is the share of the growth before each point
+        ALONG it. The end that is placed higher stays there, and both move alike where they are level. Raises BadInput.
         """
         fields = self.panels[side[0]]
         start, end = _complex([fields.vertices[k] for k in fields.edges[side[1]].endpoints])

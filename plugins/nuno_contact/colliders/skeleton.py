@@ -202,6 +202,9 @@ class Skeleton:
         """Raises BadInput without a motion that has a skeleton, and for names that it does not have."""
         if mover is None or len(mover.joints) < 2:
             raise BadInput("a skeleton needs a motion with joints", field="motion", remedy="add a motion: hula or bvh")
+        if config.drawn == "person" and config.bones is not None:
+            remedy = "leave bones out, or drawn: capsules"
+            raise BadInput("a person is drawn into the capsules of all bones", field="bones", remedy=remedy)
         check_names("radii", config.radii, mover)
         check_names("bones", config.bones or (), mover)
         height = config.height or find_height(mover)

@@ -355,10 +355,11 @@ def _viewer(recording: Recording, bus: Bus, options: Options, loop: bool, answer
     """
 
     def hear(sample: zenoh.Sample) -> None:
-        # A recording may hold what the viewer of its own run said.
-        header = Header.model_validate_json(sample.attachment.to_bytes() if sample.attachment else "{}")
-        if header.service == "viewer":
-            print(plain(Event.model_validate_json(sample.payload.to_bytes()).text), file=sys.stderr, flush=True)
+        with contextlib.suppress(ValueError):  # of a malformed message: others refuse it, and count it
+            header = Header.model_validate_json(sample.attachment.to_bytes() if sample.attachment else "")
+            # A recording may hold what the viewer of its own run said.
+            if header.service == "viewer":
+                print(plain(Event.model_validate_json(sample.payload.to_bytes()).text), file=sys.stderr, flush=True)
 
     heard = bus.session.declare_subscriber(bus.key(f"{EVENT.name}/viewer"), hear)
     with heard, restored_scene(recording) as loaded:
