@@ -276,7 +276,8 @@ def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None
                 return
             copy_rows(to, x)
             copy_rows(at, v)
-            m.so_far[:] = counts
+            for i in range(len(counts)):  # an array assigned to another takes two seconds to compile
+                m.so_far[i] = counts[i]
         # A vertex that stays behind strays by its way: whatever it could meet thereby is listed.
         for i in range(x.shape[1]):
             a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
