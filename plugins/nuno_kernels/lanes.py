@@ -7,12 +7,12 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator
 from functools import wraps
-from typing import Any, ClassVar
+from itertools import product
+from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba import types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 from nuno_kernels import kernel
 from nuno_schemas.fabric import Float, Int
@@ -39,7 +39,7 @@ Triple = tuple[Lanes, Lanes, Lanes]
 """x, y, z of eight vectors"""
 
 
-class _VectorType(types.Type):
+class _VectorType(types.Type):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__(name="Vector8")
 
@@ -62,21 +62,22 @@ def spread(builder: Any, value: Any, of: Any = LANES) -> Any:
 def _define(op: Callable[..., Any], method: str) -> None:
     """Give vectors the operator `op`, between vectors or a vector and a number."""
 
-    class Template(ConcreteTemplate):  # type: ignore[misc]
-        cases: ClassVar[list[Any]] = [
-            signature(vector, vector, vector),
-            signature(vector, vector, types.float64),
-            signature(vector, types.float64, vector),
-        ]
+    @type_callable(op)  # type: ignore[untyped-decorator]
+    def typed(context: Any) -> Any:
+        def accept(a: Any, b: Any) -> Any:
+            kinds = [vector if one == vector else types.float64 for one in (a, b)]
+            numbers = all(one == vector or isinstance(one, types.Integer | types.Float) for one in (a, b))
+            return vector(*kinds) if numbers and vector in kinds else None
 
-    infer_global(op)(Template)
+        return accept
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        pair = [a if t is vector or t == vector else spread(builder, a) for t, a in zip(sig.args, args, strict=True)]
+        pair = [a if kind == vector else spread(builder, a) for kind, a in zip(sig.args, args, strict=True)]
         return getattr(builder, method)(*pair)
 
-    for case in Template.cases:
-        lower_builtin(op, *case.args)(lower)
+    for kinds in product((vector, types.float64), repeat=2):
+        if vector in kinds:
+            lower_builtin(op, *kinds)(lower)
 
 
 for _op, _method in (
@@ -142,8 +143,8 @@ def _mask(builder: Any, count: Any) -> Any:
 
 def _call(builder: Any, name: str, result: Any, *values: Any) -> Any:
     """Call one of LLVM's functions."""
-    kind = ir.FunctionType(result, [value.type for value in values])
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), values)
+    kind, known = ir.FunctionType(result, [value.type for value in values]), builder.module.globals
+    return builder.call(known[name] if name in known else ir.Function(builder.module, kind, name), values)
 
 
 @instruction(vector, PLANE, types.int64, types.int64)
