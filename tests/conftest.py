@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
+import math
 import os
 import sys
 from collections.abc import Generator, Iterator
@@ -14,6 +15,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from nuno_kernels.compilation import workers
+
+workers.PATIENCE = math.inf  # pytest's processes have all cores already
 gc.set_threshold(1_000_000, 50, 1000)  # between files garbage is collected once: see `_settle`
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"

@@ -3,13 +3,12 @@
 Kernels use one C-contiguous (3, n) float64 array per quantity. Numba's cache goes stale when only a callee in another
 module changes, so its folder carries a hash of the sources of the solvers' packages, the compile flags and the
 versions; it is set here, before any function is decorated. Kernels of other packages are keyed by all that they reach,
-see `nuno_kernels.compilation.cache`.
+see `nuno_kernels.compilation.internals`.
 """
 
 from __future__ import annotations
 
 import functools
-import gc
 import hashlib
 import os
 import sys
@@ -20,39 +19,10 @@ from typing import Any, TypeVar, cast
 import llvmlite
 import numba
 import numpy as np
-from numba.core import event
 from numba.extending import register_jitable
 
-from nuno_kernels.compilation.cache import SOLVERS, dependencies_of, keep
-from nuno_kernels.compilation.calling_convention import Borrowing, call_by_address, call_from_kernels
-
-# Compilation without garbage collection.
-#
-# Python looks for cycles of objects whenever many have been made, and the compiler makes millions that are wanted until
-# it is done: of a first run's compilation that took a seventh. Without, the process has a sixth more memory at its end.
-
-
-class _Quiet(event.Listener):  # type: ignore[misc]
-    """Stops collection from a compilation's start, through nested ones, to its end. One thread compiles at a time."""
-
-    def __init__(self) -> None:
-        self.compilations, self.looked = 0, False
-
-    def on_start(self, event: Any) -> None:
-        """See numba."""
-        if self.compilations == 0:
-            self.looked = gc.isenabled()
-            gc.disable()
-        self.compilations += 1
-
-    def on_end(self, event: Any) -> None:
-        """See numba."""
-        self.compilations -= 1
-        if self.compilations == 0 and self.looked:
-            gc.enable()
-
-
-event.register("numba:compile", _Quiet())
+from nuno_kernels.compilation.internals import SOLVERS, Borrowing, ByAddress, call_from_kernels, dependencies_of, keep
+from nuno_kernels.compilation.workers import compile_side_by_side
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -99,16 +69,21 @@ def _versions(function: Any, apart: bool = False, **flags: Any) -> Any:
 
     @functools.cache
     def part() -> Any:
-        return keep(numba.njit(no_cpython_wrapper=True, **flags, **FLAGS)(function), CACHE, "part")
+        return _kept(function, "part", no_cpython_wrapper=True, **flags)
 
     @functools.cache
     def by_address() -> Any:
         alone = keep(numba.njit(no_cpython_wrapper=True, pipeline_class=Borrowing, **FLAGS)(function), CACHE, "apart")
-        return call_by_address(alone, lambda types: CACHE.name + dependencies_of(function, types))
+        called = ByAddress(alone, lambda types: CACHE.name + dependencies_of(function, types))
+        return compile_side_by_side(alone, called.declare if called.result else None)
 
-    outer: Any = keep(numba.njit(**flags, **FLAGS)(function), CACHE)
+    outer = _kept(function, **flags)
     outer.by_address = by_address
     return call_from_kernels(outer, by_address if apart else part)
+
+
+def _kept(function: Any, version: str = "Python", **flags: Any) -> Any:
+    return compile_side_by_side(keep(numba.njit(**flags, **FLAGS)(function), CACHE, version))
 
 
 def inlined(function: F) -> F:
@@ -118,7 +93,7 @@ def inlined(function: F) -> F:
     about as much as the function itself. For functions without optional arguments: numba prunes
     the branches of a None before it inlines.
     """
-    return cast(F, keep(numba.njit(inline="always", **FLAGS)(function), CACHE))
+    return cast(F, _kept(function, inline="always"))
 
 
 def forced_inline(function: F) -> F:
@@ -130,7 +105,7 @@ def forced_inline(function: F) -> F:
 
 def parallel_kernel(function: F) -> F:
     """Compile `function` so that its `prange` loops run on several threads."""
-    return cast(F, keep(numba.njit(parallel=True, **FLAGS)(function), CACHE))
+    return cast(F, _kept(function, parallel=True))
 
 
 def shared_source(function: F) -> F:

@@ -11,6 +11,7 @@ all that surrounds it; recursion over the tuple, whose every level is optimised 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from operator import attrgetter
@@ -22,7 +23,7 @@ from numba import prange, types
 from numba.extending import overload
 
 from nuno_kernels import FLAGS
-from nuno_kernels.compilation.calling_convention import by_address
+from nuno_kernels.compilation.internals import by_address
 from nuno_kernels.compilation.reference import by_reference
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
@@ -223,6 +224,7 @@ def register(kind: type, **roles: Any) -> None:
     """
     by_reference(kind)
     kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
+    kind.registered_by = sys._getframe(1).f_globals["__name__"]  # type: ignore[attr-defined]
 
 
 def kernels_of(term: Any) -> Kernels:

@@ -10,10 +10,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+import psutil
 import pytest
 from numba.core import event
 from numba.core.errors import NumbaError
@@ -21,9 +23,8 @@ from numba.core.runtime import _nrt_python, rtsys
 
 import nuno_kernels  # noqa: F401
 from nuno_kernels import FLAGS, block_kernel, kernel
-from nuno_kernels.compilation import cache
-from nuno_kernels.compilation.cache import CHECKSUM, keep
-from nuno_kernels.compilation.calling_convention import Borrowing
+from nuno_kernels.compilation import internals
+from nuno_kernels.compilation.internals import CHECKSUM, Borrowing, keep
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
@@ -105,7 +106,7 @@ def test_a_full_disk_costs_the_keeping_alone(
     def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(kernel._cache._cache_file, "save", fail)
+    monkeypatch.setattr(Path, "write_bytes", fail)
     assert used(kernel) == 0
     assert "No space left on device" in caplog.text
 
@@ -169,7 +170,7 @@ class Package:
                 path.write_text(text)
             self.monkeypatch.delitem(sys.modules, name, raising=False)
         self.monkeypatch.setattr(sys, "dont_write_bytecode", True)
-        cache._sources.cache_clear()
+        internals._sources.cache_clear()
         importlib.invalidate_caches()
         return importlib.import_module("caller").force
 
@@ -206,6 +207,134 @@ def test_a_kept_kernel_finds_what_it_calls_by_address_in_a_new_process(tmp_path:
     for path in (tmp_path / "cache").rglob("far.*.nbc"):
         path.unlink()
     assert run() == "7.0 1\n"
+
+
+FAR = """\
+from __future__ import annotations
+from nuno_kernels import block_kernel
+@block_kernel
+def add(x: float, out) -> None:
+    out[0] += x
+@block_kernel
+def add_twice(x: float, out) -> None:
+    add(x, out)
+    add(x, out)
+@block_kernel
+def half(x: float) -> float:
+    return x / 2
+"""
+NEAR = """\
+from far import add, add_twice, half
+from nuno_kernels import kernel
+@kernel
+def near(x, out):
+    add_twice(x, out)
+    add(half(x), out)
+"""
+SIDE_BY_SIDE = """\
+import numpy as np, psutil, sys, time
+from nuno_kernels import kernel
+from nuno_kernels.compilation import workers
+from nuno_kernels.compilation.internals import compiled_here
+workers.PATIENCE, workers.cores = -1.0, lambda: 2
+{change}
+from near import near
+{own}
+if {start}:
+    workers.WORKERS.compile(("", b""))
+    while workers.WORKERS.ready < workers.WORKERS.started:
+        time.sleep(0.01)
+out = np.zeros(1)
+near(2.0, out)
+children = [process.pid for process in psutil.Process().children()]
+print(out[0], compiled_here()[0], workers.WORKERS.enlisted, *children)
+"""
+
+
+@pytest.fixture
+def side_by_side(tmp_path: Path) -> Callable[..., list[str]]:
+    """What a program prints that has its kernels compiled by two other processes, from its first kernel on."""
+    (tmp_path / "far.py").write_text(FAR)
+    (tmp_path / "near.py").write_text(NEAR)
+
+    def run(change: str = "", own: str = "", start: bool = True) -> list[str]:
+        given = os.environ | {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+        script = SIDE_BY_SIDE.format(change=change, own=own, start=start)
+        program = tmp_path / "elsewhere" / "program.py"  # a kernel depends on the sources in its folder
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(script)
+        command = [sys.executable, str(program)]
+        return subprocess.run(
+            command, env=given, capture_output=True, text=True, check=True, timeout=240
+        ).stdout.split()
+
+    return run
+
+
+def test_other_processes_compile_a_kernel_and_what_it_calls(side_by_side: Callable[..., list[str]]) -> None:
+    """Here nothing is compiled; what is called by address is a task of its own; and all is kept for the next process,
+    which starts no others.
+    """
+    assert side_by_side()[:3] == ["5.0", "0", "4"]
+    assert side_by_side(start=False) == ["5.0", "0", "0"]
+
+
+def test_they_end_with_the_process_that_started_them(side_by_side: Callable[..., list[str]]) -> None:
+    started = [int(pid) for pid in side_by_side()[3:]]
+    assert len(started) == 2
+    psutil.wait_procs([psutil.Process(pid) for pid in started if psutil.pid_exists(pid)], timeout=10.0)
+    assert not any(psutil.pid_exists(pid) for pid in started)
+
+
+@pytest.mark.parametrize("change", ["workers.START = 'raise SystemExit'", "sys.executable = '/nowhere'"])
+def test_where_they_cannot_work_all_is_compiled_here(change: str, side_by_side: Callable[..., list[str]]) -> None:
+    value, compiled, *_ = side_by_side(change)
+    assert float(value) == 5.0 and int(compiled) >= 4
+
+
+def test_what_they_cannot_import_is_compiled_here(side_by_side: Callable[..., list[str]]) -> None:
+    """A kernel of the program itself, or of a notebook; what it calls is theirs."""
+    own = "from far import add_twice\n@kernel\ndef near(x, out):\n    add_twice(1.25 * x, out)"
+    assert side_by_side(own=own)[:3] == ["5.0", "1", "2"]
+
+
+def test_one_that_returns_another_type_than_it_says_is_called_by_what_it_returns(
+    side_by_side: Callable[..., list[str]], tmp_path: Path
+) -> None:
+    (tmp_path / "far.py").write_text(FAR.replace("-> float", "-> int"))
+    assert [float(side_by_side()[0]), float(side_by_side()[0])] == [5.0, 5.0]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "caching:CompileResultCacheImpl.check_cachable",
+        "caching:CompileResultCacheImpl.rebuild",
+        "caching:CompileResultCacheImpl.reduce",
+        "caching:FunctionCache._index_key",
+        "caching:FunctionCache.load_overload",
+        "caching:FunctionCache.save_overload",
+        "codegen:JITCodeLibrary._get_module_for_linking",
+        "codegen:JITCodeLibrary._optimize_functions",
+        "codegen:JITCodeLibrary.finalize",
+        "codegen:JITCPUCodegen._function_pass_manager",
+        "compiler:DefaultPassBuilder.define_nopython_pipeline",
+        "cpu:CPUContext.insert_user_function",
+        "cpu:CPUContext.remove_user_function",
+        "dispatcher:Dispatcher.add_overload",
+        "dispatcher:Dispatcher.enable_caching",
+        "dispatcher:Dispatcher.get_call_template",
+        "dispatcher:Dispatcher.get_overload",
+        "dispatcher:FunctionCache",
+        "event:register",
+        "runtime:rtsys.library",
+        "serialize:dumps",
+        "typing.templates:AttributeTemplate.generic_resolve",
+    ],
+)
+def test_numba_has_what_is_taken_from_its_inside(name: str) -> None:
+    """A version of numba that lacks one, or gives it a new name, fails here by that name."""
+    resolve_name(f"numba.core.{name}")
 
 
 class Pair(NamedTuple):

@@ -16,10 +16,10 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import event
 
 from nuno_bench.machine import cores
 from nuno_bench.report.page import Result
+from nuno_kernels.compilation.workers import functions_compiled
 
 LANE, ROUNDS = 2048, 20_000
 """Numbers that a thread works on, 16 KiB, inside every first-level cache; and how often."""
@@ -29,7 +29,7 @@ REPEATS = 5
 
 @dataclass
 class Compilations:
-    """Number of functions that numba compiled (not: loaded from its cache) while it was watched."""
+    """Number of functions that were compiled (not: loaded from the cache) while it was watched."""
 
     number: int = 0
 
@@ -37,10 +37,9 @@ class Compilations:
 @contextmanager
 def watch_compiler() -> Iterator[Compilations]:
     """Count compilations inside the `with`."""
-    counted = Compilations()
-    with event.install_recorder("numba:compile") as recorder:
-        yield counted
-        counted.number = sum(1 for _, item in recorder.buffer if item.is_start)
+    counted, before = Compilations(), functions_compiled()
+    yield counted
+    counted.number = functions_compiled() - before
 
 
 def seconds(call: Callable[[], object]) -> float:

@@ -15,12 +15,11 @@ from __future__ import annotations
 import hashlib
 from typing import Any, TypeVar
 
-from numba import types
-from numba.core import cgutils
-from numba.core.imputils import impl_ret_borrowed
-from numba.core.typing.templates import AttributeTemplate
-from numba.core.typing.typeof import typeof_impl
-from numba.extending import NativeValue, infer_getattr, lower_getattr_generic, models, register_model, unbox
+from llvmlite import ir
+from numba import extending, types
+from numba.extending import infer_getattr, lower_getattr_generic, models, register_model, typeof_impl, unbox
+
+from nuno_kernels.compilation.internals import AttributeTemplate
 
 T = TypeVar("T", bound=type)
 CLASSES: set[type] = set()
@@ -60,7 +59,7 @@ def _unbox(reference: Reference, value: Any, c: Any) -> Any:
     place = filled.tuple_at(reference, value)
     with c.builder.if_then(filled.failed, likely=False):
         c.pyapi.err_set_string("PyExc_TypeError", f"a field of {reference.instance_class.__name__} is not what it was")
-    return NativeValue(place, is_error=filled.failed, cleanup=filled.give_back)
+    return extending.NativeValue(place, is_error=filled.failed, cleanup=filled.give_back)
 
 
 _COUNTED = types.MemInfoPointer(types.voidptr)
@@ -72,17 +71,18 @@ class _Filling:
 
     def __init__(self, c: Any) -> None:
         self.c, self.held = c, list[Any]()
-        self.failed: Any = cgutils.false_bit
+        self.failed: Any = ir.Constant(ir.IntType(1), 0)
 
     def tuple_at(self, reference: Reference, value: Any) -> Any:
         """Return where the tuple of a class that is passed by reference lies."""
-        place = cgutils.alloca_once(self.c.builder, self.c.context.get_value_type(reference.held))
+        with self.c.builder.goto_entry_block():
+            place = self.c.builder.alloca(self.c.context.get_value_type(reference.held))
         self._fill_items(reference.types, value, place)
         return place
 
     def _fill_items(self, kinds: Any, value: Any, place: Any) -> None:
         for i, kind in enumerate(kinds):
-            self._fill(kind, self.c.pyapi.tuple_getitem(value, i), cgutils.gep_inbounds(self.c.builder, place, 0, i))
+            self._fill(kind, self.c.pyapi.tuple_getitem(value, i), _item(self.c.builder, place, i))
 
     def _fill(self, kind: Any, value: Any, place: Any) -> None:
         builder, pyapi = self.c.builder, self.c.pyapi
@@ -92,8 +92,8 @@ class _Filling:
             self._fill_items(kind.types, value, place)
         elif isinstance(kind, types.Array):
             failed = pyapi.nrt_adapt_ndarray_from_python(value, builder.bitcast(place, pyapi.voidptr))
-            self._note(cgutils.is_not_null(builder, failed))
-            self.held.append(cgutils.gep_inbounds(builder, place, 0, 0))
+            self._note(builder.icmp_unsigned("!=", failed, ir.Constant(failed.type, 0)))
+            self.held.append(_item(builder, place, 0))
         else:
             native = self.c.unbox(kind, value)
             if native.cleanup is not None:
@@ -108,6 +108,11 @@ class _Filling:
         """Release the arrays, which numba does itself for those that it passes as values."""
         for counted in self.held:
             self.c.context.nrt.decref(self.c.builder, _COUNTED, self.c.builder.load(counted))
+
+
+def _item(builder: Any, place: Any, at: int) -> Any:
+    """Return where an item of the tuple, or of the array, at `place` lies."""
+    return builder.gep(place, [ir.Constant(ir.IntType(32), i) for i in (0, at)], inbounds=True)
 
 
 @infer_getattr
@@ -129,10 +134,12 @@ def _is_part(kind: types.Type) -> bool:
 @lower_getattr_generic(Reference)  # type: ignore[untyped-decorator]
 def _load(context: Any, builder: Any, reference: Reference, value: Any, name: str) -> Any:
     at = reference.held.fields.index(name)
-    place = cgutils.gep_inbounds(builder, value, 0, at)
+    place = _item(builder, value, at)
     if _is_part(reference.types[at]):
         return place
-    return impl_ret_borrowed(context, builder, reference.types[at], builder.load(place))
+    item = builder.load(place)
+    context.nrt.incref(builder, reference.types[at], item)
+    return item
 
 
 def by_reference(kind: T) -> T:

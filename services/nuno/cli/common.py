@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
 import math
 import os
 import sys
@@ -95,20 +96,20 @@ def warn(recording: Recording) -> None:
 @contextlib.contextmanager
 def compilation_notice() -> Iterator[None]:
     """Say on stderr, once, that pictures wait for the compiler, if they do."""
-    from numba.core import event
+    compiler = logging.getLogger("nuno.kernels.compiler")
 
-    class Teller(event.Listener):  # type: ignore[misc]
-        noticed = False
+    class Teller(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            compiler.removeHandler(self)
+            print("compiling; the next picture of this kind finds it ready", file=sys.stderr, flush=True)
 
-        def on_start(self, event: Any) -> None:
-            if not self.noticed:
-                print("compiling; the next picture of this kind finds it ready", file=sys.stderr, flush=True)
-            self.noticed = True
-
-        def on_end(self, event: Any) -> None: ...
-
-    with event.install_listener("numba:compile", Teller()):
+    teller = Teller()
+    compiler.setLevel(logging.INFO)
+    compiler.addHandler(teller)
+    try:
         yield
+    finally:
+        compiler.removeHandler(teller)
 
 
 def load_scene(args: argparse.Namespace) -> Loaded:
