@@ -35,7 +35,6 @@ from nuno_integrators.packing import (
     thread_count,
     to_rows,
 )
-from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
@@ -167,10 +166,9 @@ class Compiled(ABC):
         """Return the system with another damping, which may change in each frame; an undamped one stays so."""
         return packed if packed.damping == 0.0 else packed._replace(damping=damping)
 
+    @abstractmethod
     def limit(self, config: Any, system: System, state: State) -> StepLimit:
         """Return the largest stable step [s] in the present state, from bounds on its frequency and damping."""
-        omega, damping = measure_rates(system, state)
-        return StepLimit(stable_step(self.amplification, omega, damping, system.damping), omega, damping)
 
     def advance(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
@@ -293,10 +291,6 @@ class Compiled(ABC):
             return f"1 thread: {system.fabric.number:,} vertices are fewer than several threads pay for"
         fewer = ", or 1 in frames where that is faster" if count > 1 else ""
         return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]}){fewer}"
-
-    @abstractmethod
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """Return the matrix (2, 2) of one step on x'' = -omega^2 x - damping x', state (x, v)."""
 
 
 def _enter(system: System, state: State, work: Work, end: float) -> Extra:

@@ -21,7 +21,7 @@ from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
-from nuno_schemas.fabric import Fabric, Float, Springs, State
+from nuno_schemas.fabric import Bool, Fabric, Float, Springs, State
 from nuno_schemas.system import System
 
 FEWEST, MOST, CHECK = 24, 160, 8
@@ -154,47 +154,49 @@ def _with_loose_springs(fabric: Fabric, position: Float) -> Fabric:
     return replace(fabric, springs=Springs.from_pairs(pairs, k, np.where(zero, 0.0, rest), c))
 
 
-def spectral_radius(matrix: Float) -> float:
-    """Return the largest modulus of the eigenvalues of a (2, 2) matrix."""
+Amplification = Callable[..., Float]
+"""amplification(omega, damping, dt), arrays of one shape: the matrices (2, 2, ...) of one step on x'' = -omega^2 x -
+damping x'"""
+
+
+def spectral_radius(matrix: Float) -> Float:
+    """Return the largest modulus of the eigenvalues of matrices (2, 2, ...)."""
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
     det = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     disc = half * half - det
-    return float(np.sqrt(det)) if disc < 0.0 else float(abs(half) + np.sqrt(disc))
+    return np.asarray(np.where(disc < 0.0, np.sqrt(np.abs(det)), np.abs(half) + np.sqrt(np.maximum(disc, 0.0))))
 
 
-def critical_step(amplification: Callable[[float, float, float], Float], omega: float, damping: float) -> float:
-    """Return the step [s] up to which |x|, |v| stay bounded on x'' = -omega^2 x - damping x'.
+def critical_step(amplification: Amplification, omega: Float, damping: Float) -> Float:
+    """Return the steps (m,) [s] up to which |x|, |v| stay bounded on x'' = -omega^2 x - damping x', of rates (m,), of
+    which one of each pair is above 0.
 
     The first crossing of spectral radius 1; 0 for a method that grows at any step, inf where there is nothing to limit.
     """
-    rate = max(omega, damping)
-    if rate <= 0.0:
-        return float("inf")
+    rate = np.maximum(omega, damping)
 
-    def grows(step: float) -> bool:
-        return spectral_radius(amplification(omega, damping, step)) > 1.0 + 1e-13
+    def grows(step: Float) -> Bool:
+        matrix = amplification(np.broadcast_to(omega, step.shape), np.broadcast_to(damping, step.shape), step)
+        return np.asarray(spectral_radius(matrix) > 1.0 + 1e-13)
 
-    low, high = 0.0, 0.0
-    for _ in range(160):
-        high = low + 0.05 / rate
-        if grows(high):
-            break
-        low = high
-    else:
-        return float("inf")
+    tried = np.cumsum(np.full((160, len(rate)), 0.05 / rate), axis=0)
+    crossed = grows(tried)
+    first, column = crossed.argmax(axis=0), np.arange(len(rate))
+    high, low = tried[first, column], np.where(first > 0, tried[first - 1, column], 0.0)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if grows(middle) else (middle, high)
-    return low if low > 1e-5 / rate else 0.0
+        grown = grows(middle)
+        low, high = np.where(grown, low, middle), np.where(grown, middle, high)
+    return np.where(crossed.any(axis=0), np.where(low > 1e-5 / rate, low, 0.0), np.inf)
 
 
-def stable_step(
-    amplification: Callable[[float, float, float], Float], omega: float, damping: float, least: float
-) -> float:
+def stable_step(amplification: Amplification, omega: float, damping: float, least: float) -> float:
     """Return the step [s] that is stable for every mode up to `omega` with damping from `least` to `damping`.
 
     The fastest and the most damped mode need not be one: a stability region with lobes may allow the two together what
     it denies to either alone.
     """
-    rates = sorted({least + f * (damping - least) for f in (0.0, 0.25, 0.5, 0.75, 1.0)})
-    return min(critical_step(amplification, f * omega, rate) for f in (0.0, 0.25, 0.5, 0.75, 1.0) for rate in rates)
+    shares = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    frequencies, rates = np.meshgrid(shares * omega, least + shares * (damping - least))
+    acting = np.maximum(frequencies, rates) > 0.0
+    return float(critical_step(amplification, frequencies[acting], rates[acting]).min(initial=np.inf))

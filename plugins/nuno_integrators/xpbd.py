@@ -278,10 +278,3 @@ class XPBD(Compiled):
             source_of(advance_xpbd, force)(x, v, stages, steps, AT_REST, p, force, own)
 
         return at_rest
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """With m' = m (1 + h damping) the displacement without the spring is h v / (1 + h damping); the spring's
-        tension after one sweep is k |x + h v / (1 + h damping)| / (1 + k h^2 / m'), and a second finds nothing missing.
-        Put together, (1 + h damping + omega^2 h^2) v' = v - omega^2 h x and x' = x + h v'.
-        """
-        return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))

@@ -224,10 +224,6 @@ class Integrator(Plugin, Protocol):
         """Describe for the report how the kernels run this system: the number of threads, and why."""
         ...
 
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """Return the matrix (2, 2) of one step on x'' = -omega^2 x - damping x', state (x, v)."""
-        ...
-
 
 @dataclass(frozen=True)
 class DrawnSkin:

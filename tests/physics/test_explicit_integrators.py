@@ -16,7 +16,8 @@ from yarn_nets import chains, locking
 
 from nuno_cloth.wind import WindLists, prepare_wind
 from nuno_integrators.explicit.adaptive import AT, BEFORE, NEXT, PENDING, Dop853, Dopri5, take
-from nuno_integrators.explicit.fixed_step import RK4, Leapfrog, RK4Printed, SymplecticEuler
+from nuno_integrators.explicit.fixed_step import Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.runge_kutta import RK4, RK4Printed
 from nuno_integrators.packing import pack
 from nuno_kernels.forces.hinges import HingeLists
 from nuno_kernels.forces.springs import SpringLists

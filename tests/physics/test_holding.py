@@ -12,7 +12,8 @@ from nets import make_fabric, make_system, random_net, start
 
 from nuno.scene.scene_file import read
 from nuno.simulation.run import Simulation
-from nuno_integrators.explicit.fixed_step import RK4, Euler, Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.fixed_step import Euler, Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.runge_kutta import RK4
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Springs

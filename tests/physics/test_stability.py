@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from nets import (
@@ -16,7 +18,11 @@ from nets import (
     triangulate,
 )
 
-from nuno_integrators.explicit.fixed_step import RK4, Euler, Leapfrog, SymplecticEuler
+from nuno_bench.speed.timing import watch_compiler
+from nuno_bench.validation.oscillator import TEXTBOOK
+from nuno_integrators.explicit.adaptive import Dopri5
+from nuno_integrators.explicit.fixed_step import Euler, Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.runge_kutta import RK4
 from nuno_integrators.stability import critical_step, measure_rates, spectral_radius
 from nuno_schemas.fabric import Float, Springs
 from nuno_schemas.system import System, Term
@@ -173,14 +179,27 @@ def test_springs_of_zero_length_count_with_their_stiffness() -> None:
 
 
 def test_critical_steps_are_the_known_ones() -> None:
-    for omega in (1e-3, 1.0, 1e6):
-        assert critical_step(Euler().amplification, omega, 0.0) == 0.0
-        for plugin, limit in ((SymplecticEuler(), 2.0), (Leapfrog(), 2.0), (RK4(), 2.0 * np.sqrt(2.0))):
-            assert abs(critical_step(plugin.amplification, omega, 0.0) * omega / limit - 1.0) < 1e-9
-    assert abs(critical_step(Euler().amplification, 10.0, 0.5) - 0.005) < 1e-9
-    for damping in (0.1, 1.0, 5.0, 50.0):
-        step = critical_step(SymplecticEuler().amplification, 10.0, damping)
-        assert abs(damping * step + 0.5 * 100.0 * step**2 - 2.0) < 1e-9
+    omega, none = np.array([1e-3, 1.0, 1e6]), np.zeros(3)
+    assert not critical_step(Euler().amplification, omega, none).any()
+    for plugin, limit in ((SymplecticEuler(), 2.0), (Leapfrog(), 2.0), (RK4(), 2.0 * np.sqrt(2.0))):
+        assert np.abs(critical_step(plugin.amplification, omega, none) * omega / limit - 1.0).max() < 1e-9
+    assert abs(critical_step(Euler().amplification, np.array([10.0]), np.array([0.5]))[0] - 0.005) < 1e-9
+    damping = np.array([0.1, 1.0, 5.0, 50.0])
+    step = critical_step(SymplecticEuler().amplification, np.full(4, 10.0), damping)
+    assert np.abs(damping * step + 0.5 * 100.0 * step**2 - 2.0).max() < 1e-9
+
+
+@pytest.mark.parametrize("plugin", [*PLUGINS, Dopri5()], ids=lambda p: p.name)
+def test_matrices_of_a_step_are_the_textbooks(plugin: Any) -> None:
+    """Those that follow from a tableau, and from the source of a loop, which compiles nothing."""
+    rng = np.random.default_rng(4)
+    omega, damping, dt = rng.uniform(0.1, 30.0, 50), rng.uniform(0.0, 20.0, 50), rng.uniform(1e-3, 0.05, 50)
+    with watch_compiler() as compiler:
+        found = plugin.amplification(omega, damping, dt)
+    expected = np.stack([TEXTBOOK[plugin.name](*one) for one in zip(omega, damping, dt, strict=True)], axis=-1)
+    assert np.abs(found - expected).max() < 1e-12
+    assert compiler.number == 0
+    assert np.array_equal(plugin.amplification(omega[0], damping[0], dt[0]), found[:, :, 0])
 
 
 @pytest.mark.parametrize("plugin", PLUGINS[1:], ids=lambda p: p.name)
@@ -188,7 +207,6 @@ def test_limit_holds_for_every_slower_or_less_damped_mode(plugin: SymplecticEule
     position, springs = random_net(40, 200, 1, c=0.05)
     system = make_system(make_fabric(position, springs), NO_GRAVITY, 0.2)
     limit = plugin.limit(plugin.Config(), system, start(system))
-    for share in np.linspace(0.0, 1.0, 41):
-        for damping in np.linspace(0.2, limit.damping, 41):
-            radius = spectral_radius(plugin.amplification(share * limit.omega, damping, 0.999 * limit.dt))
-            assert radius <= 1.0 + 1e-12
+    omega, damping = np.meshgrid(np.linspace(0.0, limit.omega, 41), np.linspace(0.2, limit.damping, 41))
+    radius = spectral_radius(plugin.amplification(omega, damping, np.full_like(omega, 0.999 * limit.dt)))
+    assert radius.max() <= 1.0 + 1e-12

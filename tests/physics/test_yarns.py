@@ -12,7 +12,8 @@ from nets import accelerations, make_fabric, make_system, random_net, run, start
 from yarn_nets import balance, chains, line, locking, reference
 
 from nuno_integrators.explicit.adaptive import Dop853, Dopri5
-from nuno_integrators.explicit.fixed_step import RK4, Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.fixed_step import Leapfrog, SymplecticEuler
+from nuno_integrators.explicit.runge_kutta import RK4
 from nuno_integrators.implicit import linear_solve as solver
 from nuno_integrators.implicit.conjugate import multiply
 from nuno_integrators.implicit.factor import factorise, make_factor, solve_factored

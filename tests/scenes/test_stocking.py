@@ -193,7 +193,7 @@ def test_a_profile_leaves_sliding_points_where_they_are() -> None:
     simulation, _ = fit()
     work: Any = simulation.memory.work
     x, v = to_rows(simulation.state.x), to_rows(simulation.state.v)
-    loop = simulation.loaded.integrator.plugin.loop_for(work.packed)
+    loop = simulation.loaded.integrator.plugin.loop_of(work.packed, None)
 
     def watched(place: Float, speed: Float, *rest: Any) -> None:
         loop(place, speed, *rest)

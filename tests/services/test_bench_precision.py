@@ -112,7 +112,7 @@ class Raising(Halved):
 @kernel
 def advance_wrongly(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
     """What no compiler takes."""
-    for _ in range(steps):
+    if steps < 0:
         x.no_such_thing()
 
 
@@ -122,7 +122,7 @@ class Uncompiled(SymplecticEuler):
     name = "uncompiled"
     loop = advance_wrongly
 
-    def loop_for(self, packed: Any) -> Any:
+    def loop_of(self, packed: Any, extra: Any) -> Any:
         return advance_wrongly
 
 

@@ -196,9 +196,6 @@ class Mine(Explicit):
     buffers: ClassVar[int] = 2
     loop: ClassVar[Any] = advance
 
-    def amplification(self, omega: float, damping: float, dt: float) -> Array:
-        return np.eye(2)
-
 
 force: Force = PullForce()
 solver: Integrator = Mine()

@@ -213,7 +213,11 @@ TEXTBOOK: dict[str, Matrix] = {
 
 
 def amplification(plugin: Any) -> Matrix:
-    """The textbook's matrix of a method known by name, else the one that the plugin states."""
+    """The textbook's matrix of a method known by name, else the one that follows from the plugin's tableau or loop.
+    Raises Unsupported for one with neither.
+    """
+    if plugin.name not in TEXTBOOK and not hasattr(plugin, "amplification"):
+        raise Unsupported("no textbook's matrix, and neither a tableau nor a loop to have it from")
     return TEXTBOOK.get(plugin.name) or plugin.amplification
 
 

@@ -10,9 +10,8 @@ peers` measures them on the stiff sheet.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -22,12 +21,21 @@ from scipy.integrate import DOP853 as EIGHTH
 from scipy.integrate import RK45
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, source_of
-from nuno_integrators.explicit.updates import Buffers, Stage, combine, square
+from nuno_integrators.explicit.runge_kutta import (
+    Buffers,
+    Stage,
+    Tableau,
+    Weights,
+    combine,
+    take_stages,
+    take_stages_interpreted,
+)
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
-from nuno_kernels.lanes import WIDTH
-from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
-from nuno_kernels.step.blocks import Long, block_count, copy_rows
+from nuno_kernels.lanes import WIDTH, lane, read, splat
+from nuno_kernels.step.acceleration import Extra, Packed, commit
+from nuno_kernels.step.blocks import BLOCK, Long, block_count, copy_rows
+from nuno_kernels.terms import over_blocks
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
@@ -43,16 +51,15 @@ LANDED = 1e-9
 """share of a step by which it may miss the end of an interval and still count as ending there"""
 
 
-class Pair(NamedTuple):
-    """A tableau in the layout of compiled code; see Tableau."""
+class Estimate(NamedTuple):
+    """How the error of a step is estimated: its order, and the weights (1 or 2, slopes) for velocities and positions,
+    see Pair; sums (blocks,) is scratch.
+    """
 
-    stages: int
-    estimate: int
-    a: Float
-    aa: Float
-    c: Float
-    errors: Float
-    position_errors: Float
+    order: int
+    velocity: Float
+    position: Float
+    sums: Float
 
 
 class Interval(NamedTuple):
@@ -75,39 +82,57 @@ ACCEPTED, REJECTED = 0, 1
 
 
 @block_kernel
-def attempt(
-    b: Buffers, pair: Pair, first: int, stages: int, h: float, start: float, span: float, p: Packed, extra: Extra
-) -> None:
-    """Compute stages `first` to `stages` - 1 of a step of h from (b.x, b.v); the last leaves the end in (b.y, b.u)."""
-    for i in range(first, stages):
-        s = (start + pair.c[i] * h) / span
-        if i == 0:
-            evaluate(b.x, b.v, s, b.k[0], p, extra)
-        else:
-            combine(b, Stage(pair.c[i] * h, h, pair.aa[i], pair.a[i], i), b.y, b.u, p.threads)
-            evaluate(b.y, b.u, s, b.k[i], p, extra)
+def add_squares(block: int, k: Float, weights: Float, sums: Float) -> None:
+    """Sum (sum_j weights_j k_j)^2 over a block, into sums."""
+    low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
+    total = splat(0.0)
+    for row in range(3):
+        for p in range(low, high, WIDTH):
+            m = min(WIDTH, high - p)
+            e = splat(0.0)
+            for j in range(weights.shape[0]):
+                if weights[j] != 0.0:
+                    e = e + weights[j] * read(k, 3 * j + row, p, m)
+            total = total + e * e
+    result = 0.0
+    for j in range(WIDTH):
+        result += lane(total, j)
+    sums[block] = result
 
 
-attempt_interpreted = source_of(attempt, True)
+square_blocks = over_blocks(add_squares, "k, weights, sums")
+
+
+@block_kernel
+def square(k: Float, weights: Float, sums: Float, threads: int | None) -> float:
+    """Return the sum over all vertices of |sum_j weights_j k_j|^2, in an order independent of threads.
+
+    sums (blocks,) is scratch; a pinned vertex has slopes 0.
+    """
+    square_blocks(k, weights, sums, sums.shape[0], threads)
+    total = 0.0
+    for block in range(sums.shape[0]):
+        total += sums[block]
+    return total
 
 
 @shared_source
-def estimated(b: Buffers, pair: Pair, which: int, h: float, threads: int | None) -> float:
-    """Return one of the pair's estimates [m], root of the sum over vertices: h times velocities, and positions."""
-    velocity = np.sqrt(square(b.flat, pair.errors[which], b.sums, b.wait, threads))
-    return float(h * h * (velocity + np.sqrt(square(b.flat, pair.position_errors[which], b.sums, b.wait, threads))))
+def estimated(b: Buffers, e: Estimate, which: int, h: float, threads: int | None) -> float:
+    """Return one of the estimates [m], root of the sum over vertices: h times velocities, and positions."""
+    velocity = np.sqrt(square(b.k, e.velocity[which], e.sums, threads))
+    return float(h * h * (velocity + np.sqrt(square(b.k, e.position[which], e.sums, threads))))
 
 
 @shared_source
-def estimate_error(b: Buffers, pair: Pair, h: float, allowed: float, p: Packed) -> float:
+def estimate_error(b: Buffers, e: Estimate, h: float, allowed: float, threads: int | None) -> float:
     """Return the estimated error over the allowed: root mean square of positions and of h times velocities.
 
     `allowed` is in metres times the root of the number of vertices. Of two estimates e5 and e3 the
     error is e5^2 / sqrt(e5^2 + e3^2 / 100) (Hairer, Norsett & Wanner 1993, section II.10).
     """
-    total = estimated(b, pair, 0, h, p.threads)
-    if pair.errors.shape[0] == 2 and total > 0.0:
-        other = estimated(b, pair, 1, h, p.threads)
+    total = estimated(b, e, 0, h, threads)
+    if e.velocity.shape[0] == 2 and total > 0.0:
+        other = estimated(b, e, 1, h, threads)
         total = total * total / np.sqrt(total * total + 0.01 * other * other)
     return float(total / allowed)
 
@@ -137,15 +162,16 @@ def take(control: Float, h: float, error: float, alpha: float, again: bool) -> N
 
 @kernel
 def advance_adaptive(
-    b: Buffers, pair: Pair, control: Float, counts: Long, interval: Interval, p: Packed, extra: Extra
-) -> bool:
+    b: Buffers, weights: Weights, estimate: Estimate, control: Float, counts: Long, interval: Interval, p: Packed,
+    extra: Extra,
+) -> bool:  # fmt: skip
     """Step to the end of an interval, until the pending step ends at or beyond it.
 
     A step that is accepted stays pending until the next is tried, so that the state at the end of the interval can be
     read inside of it. False where the step has become too small.
     """
-    span, stages = interval.span, pair.stages
-    alpha = 1.0 / (pair.estimate + 1) - 0.75 * 0.04
+    span, slopes = interval.span, estimate.velocity.shape[1]
+    alpha = 1.0 / (estimate.order + 1) - 0.75 * 0.04
     first, again = 0, False
     while True:
         h = control[PENDING]
@@ -161,7 +187,7 @@ def advance_adaptive(
             # The last slope is the next step's first, unless bodies have moved vertices or anchors.
             first = 0
             if not p.moved:
-                copy_rows(b.k[stages - 1], b.k[0])
+                copy_rows(b.k[3 * slopes - 3 : 3 * slopes], b.k[:3])
                 first = 1
             if over > -LANDED * h:
                 control[AT] = 0.0
@@ -170,10 +196,10 @@ def advance_adaptive(
         if p.leave[0] != 0 or not h > SMALLEST * span:
             return False
         if extra is None:
-            attempt(b, pair, first, stages, h, control[AT], span, p, None)
+            take_stages(b, weights, first, slopes, h, control[AT], span, p, None)
         else:
-            attempt_interpreted(b, pair, first, stages, h, control[AT], span, p, extra)
-        error = estimate_error(b, pair, h, interval.allowed, p)
+            take_stages_interpreted(b, weights, first, slopes, h, control[AT], span, p, extra)
+        error = estimate_error(b, estimate, h, interval.allowed, p.threads)
         if error <= 1.0:
             counts[ACCEPTED] += 1
             take(control, h, error, alpha, again)
@@ -193,45 +219,30 @@ def advance_adaptive(
 
 
 @dataclass(frozen=True)
-class Tableau:
-    """One pair, whose last stage is at the end of the step and is the first of the next.
+class Pair(Tableau):
+    """A tableau with an estimate of its error, and output between steps. The slope at a step's end is the next one's
+    first.
 
-    order   of the result; `estimate` is that of the error estimate, which sets the step
-    a       (s, s) weights; rows from `stages` on serve the output between steps alone
-    c       (s,) fractions of the step
-    errors  (1, stages) or (2, stages) weights of the estimate; of two, the first is the leading one
-    output  theta -> (s,) weights of the state at fraction theta of the step
+    order   of the estimate, which sets the step
+    errors  (1, stages + 1) or (2, stages + 1) weights of the estimate; of two, the first is the leading one
+    output  theta -> (rows,) weights of the state at fraction theta of the step
+    further weights of stages after the end, which serve the output alone
     """
 
     order: int
-    estimate: int
-    stages: int
-    a: Float
-    c: Float
     errors: Float
     output: Callable[[float], Float]
+    further: Sequence[Sequence[float]] = ()
 
-    @cached_property
-    def aa(self) -> Float:
-        """Return the weights (s, s) of the positions, A A: see nuno_integrators.explicit.updates."""
-        return self.a @ self.a
+    @property
+    def rows(self) -> Sequence[Sequence[float]]:
+        """Weights of each stage, of the result and of the further stages."""
+        return *super().rows, *self.further
 
-    @cached_property
-    def position_errors(self) -> Float:
-        """Return the weights (1 or 2, stages) of the position error's estimate."""
-        return np.asarray(self.errors @ self.a[: self.stages, : self.stages])
-
-    @cached_property
-    def polynomial(self) -> tuple[float, ...]:
-        """Coefficients of 1, z, z^2, ... of the stability polynomial: a step on y' = z y multiplies y with it.
-
-        The stages are the sum of z^k A^k 1, and the last one is the step's end.
-        """
-        power, found = np.ones(self.stages), []
-        for _ in range(self.stages):
-            found.append(float(power[-1]))
-            power = self.a[: self.stages, : self.stages] @ power
-        return tuple(found)
+    def estimate(self, blocks: int) -> Estimate:
+        """Return the estimate in the layout of compiled code."""
+        slopes = self.stages + 1
+        return Estimate(self.order, self.errors, self.errors @ self.weights.a[:slopes, :slopes], np.empty(blocks))
 
 
 def _dopri5_output(theta: float) -> Float:
@@ -241,8 +252,7 @@ def _dopri5_output(theta: float) -> Float:
 
 def _dop853_output(theta: float) -> Float:
     """Evaluate Hairer's nested form, outermost last: factors theta and 1 - theta in turn."""
-    end = _A8[12]
-    first, last = np.eye(16)[0], np.eye(16)[12]
+    first, last, end = np.eye(16)[0], np.eye(16)[12], DOP853.weights.a[12]
     parts = [end, first - end, 2.0 * end - (first + last), *EIGHTH.D]
     weights = np.zeros(16)
     for i, part in enumerate(reversed(parts)):
@@ -250,17 +260,8 @@ def _dop853_output(theta: float) -> Float:
     return weights
 
 
-def _square(*parts: Float) -> Float:
-    """Return (s, s) weights of s rows in all, each padded with zeros."""
-    rows = [row for part in parts for row in np.atleast_2d(part)]
-    return np.array([np.pad(row, (0, len(rows) - len(row))) for row in rows])
-
-
-_A5, _A8 = _square(RK45.A, RK45.B), _square(EIGHTH.A, EIGHTH.B, EIGHTH.A_EXTRA)
-"""The row after the stages ends the step; those of DOP853 behind it serve the output between steps alone."""
-_C8 = np.concatenate([EIGHTH.C, [1.0], EIGHTH.C_EXTRA])
-DOPRI5 = Tableau(5, 4, 7, _A5, _A5.sum(axis=1), 0.0 - RK45.E[None], _dopri5_output)
-DOP853 = Tableau(8, 7, 13, _A8, _C8, np.stack([EIGHTH.E5, EIGHTH.E3]), _dop853_output)
+DOPRI5 = Pair(RK45.A[1:], RK45.B, 4, 0.0 - RK45.E[None], _dopri5_output)
+DOP853 = Pair(EIGHTH.A[1:], EIGHTH.B, 7, np.stack([EIGHTH.E5, EIGHTH.E3]), _dop853_output, EIGHTH.A_EXTRA)
 
 
 OF_LIMIT = 0.95
@@ -283,7 +284,7 @@ class AdaptiveWork(Work):
     """`x`, `v` hold the state at an interval's end, `b` the pending step."""
 
     b: Buffers
-    pair: Pair
+    estimate: Estimate
     control: Float
     allowed: float
     landing: bool
@@ -302,7 +303,7 @@ class Adaptive(Compiled):
     Config: ClassVar[type[AdaptiveConfig]] = AdaptiveConfig
     explicit: ClassVar[bool] = True
     adaptive: ClassVar[bool] = True
-    tableau: ClassVar[Tableau]
+    tableau: ClassVar[Pair]
 
     def make_work(self, config: AdaptiveConfig, system: System, packed: Packed) -> AdaptiveWork:
         """Raise BadInput for a tolerance below rounding error."""
@@ -317,12 +318,9 @@ class Adaptive(Compiled):
                 limit=f"{rounding:.1e} for cloth of {size:.3g} m that far from the origin",
                 remedy="raise the tolerance, or move the scene nearer to the origin",
             )
-        n, stages = fabric.number, len(table.c)
-        k = np.zeros((stages, 3, n))
-        blocks = block_count(n)
+        n = fabric.number
         x, v, y, u = np.empty((4, 3, n))
-        buffers = Buffers(x, v, y, u, k, k.reshape(3 * stages, n), np.empty(blocks), np.empty((blocks, 1, WIDTH)))
-        pair = Pair(table.stages, table.estimate, table.a, table.aa, table.c, table.errors, table.position_errors)
+        buffers = Buffers(x, v, y, u, np.zeros((3 * len(table.rows), n)))
         control = np.array([0.0, 0.0, np.inf, 1e-4])
         known_ahead = not packed.bodies and not any(term.in_python for term in system.terms)
         free = max(1, int((~fabric.pinned).sum()))
@@ -332,12 +330,16 @@ class Adaptive(Compiled):
         longest = OF_LIMIT * stable_step(self.amplification, omega, damping, system.damping)
         longest = longest if longest > 0.0 else float("inf")
         x, v = np.empty((2, 3, n))
-        return AdaptiveWork(packed, x, v, k, buffers, pair, control, allowed, not known_ahead, longest)
+        estimate = table.estimate(block_count(n))
+        return AdaptiveWork(packed, x, v, buffers.k, buffers, estimate, control, allowed, not known_ahead, longest)
 
     def limit(self, config: AdaptiveConfig, system: System, state: State) -> StepLimit:
         """Return an unlimited step: the scene's is only the largest that is tried."""
-        rates = super().limit(config, system, state)
-        return StepLimit(float("inf"), rates.omega, rates.damping)
+        return StepLimit(float("inf"), *measure_rates(system, state))
+
+    def amplification(self, omega: float | Float, damping: float | Float, dt: float | Float) -> Float:
+        """Return the matrices (2, 2, ...) of one accepted step; see Tableau."""
+        return self.tableau.amplification(omega, damping, dt)
 
     def go(self, work: AdaptiveWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         b, control, span = work.b, work.control, steps * dt
@@ -346,7 +348,8 @@ class Adaptive(Compiled):
             control[AT] = control[PENDING] = 0.0
         counts = np.zeros(2, np.int64)
         interval = Interval(span, min(dt, work.longest), work.landing, work.allowed)
-        whole = source_of(advance_adaptive, extra)(b, work.pair, control, counts, interval, packed, extra)
+        method = self.tableau.weights, work.estimate
+        whole = source_of(advance_adaptive, extra)(b, *method, control, counts, interval, packed, extra)
         if control[PENDING] > 0.0 and whole:
             self._read_inside(work, packed, span)
             control[AT] -= span
@@ -359,15 +362,13 @@ class Adaptive(Compiled):
 
     def compile(self, work: AdaptiveWork, packed: Packed, extra: Extra) -> None:
         """Compile by an interval of no length, which ends before its first step."""
-        b, table, interval = work.b, self.tableau, Interval(0.0, 0.0, work.landing, work.allowed)
+        b, weights, interval = work.b, self.tableau.weights, Interval(0.0, 0.0, work.landing, work.allowed)
         control, counts = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(2, np.int64)
-        source_of(advance_adaptive, extra)(b, work.pair, control, counts, interval, packed, extra)
+        source_of(advance_adaptive, extra)(b, weights, work.estimate, control, counts, interval, packed, extra)
         if not work.landing:
             # The function that reads a state within a step: without stages, into separate arrays.
-            attempt(b, work.pair, 0, 0, 0.0, 0.0, 1.0, packed, None)
-            weights = table.output(0.0)
-            stage = Stage(0.0, 0.0, weights @ table.a, weights, len(table.c))
-            combine(b, stage, np.empty_like(b.x), np.empty_like(b.v), packed.threads)
+            take_stages(b, weights, 0, 0, 0.0, 0.0, 1.0, packed, None)
+            self._interpolate(b, 0.0, 0.0, np.empty_like(b.x), np.empty_like(b.v), packed.threads)
 
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
         """Whether the pending step leads to the present state; its slopes are computed anew after a resume."""
@@ -377,8 +378,8 @@ class Adaptive(Compiled):
         if work.left is not None and all(map(np.array_equal, work.left, (work.x, work.v, control))):
             return True
         now_x, now_v = work.x.copy(), work.v.copy()
-        stages, h, start = self.tableau.stages, float(control[PENDING]), float(control[AT])
-        attempt(work.b, work.pair, 0, stages, h, start, span, packed, None)
+        h, start = float(control[PENDING]), float(control[AT])
+        take_stages(work.b, self.tableau.weights, 0, self.tableau.stages + 1, h, start, span, packed, None)
         control[AT] += span
         self._read_inside(work, packed, span)
         control[AT] -= span
@@ -388,36 +389,29 @@ class Adaptive(Compiled):
 
     def _read_inside(self, work: AdaptiveWork, packed: Packed, span: float) -> None:
         """Interpolate the state `span` after the interval's start from the pending step."""
-        b, h, table = work.b, float(work.control[PENDING]), self.tableau
-        if len(table.c) > table.stages:
+        b, h, start, table = work.b, float(work.control[PENDING]), float(work.control[AT]), self.tableau
+        if len(table.further):
             y, u = b.y.copy(), b.u.copy()
-            start = float(work.control[AT])
-            attempt(b, work.pair, table.stages, len(table.c), h, start, span, packed, None)
+            take_stages(b, table.weights, table.stages + 1, len(table.rows), h, start, span, packed, None)
             b.y[...], b.u[...] = y, u
-        theta = (span - float(work.control[AT])) / h
-        weights = table.output(theta)
-        stage = Stage(theta * h, h, weights @ table.a, weights, len(table.c))
-        combine(b, stage, work.x, work.v, packed.threads)
+        self._interpolate(b, (span - start) / h, h, work.x, work.v, packed.threads)
+
+    def _interpolate(self, b: Buffers, theta: float, h: float, x: Float, v: Float, threads: int | None) -> None:
+        """Write the state at fraction theta of the pending step of h into x, v (3, n)."""
+        weights = self.tableau.output(theta)
+        stage = Stage(theta * h, h, weights @ self.tableau.weights.a, weights, len(self.tableau.rows))
+        combine(b, stage, x, v, threads)
 
     def step_at_rest(self, work: AdaptiveWork, extra: Extra) -> Any:
         def steps_of_no_length(
             x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra
         ) -> None:
             work.b.x[...], work.b.v[...] = x, v
-            call = attempt if force is None else attempt_interpreted
+            call, slopes = source_of(take_stages, force), self.tableau.stages + 1
             for _ in range(steps):
-                call(work.b, work.pair, 0, self.tableau.stages, 0.0, 0.0, 1.0, p, force)
+                call(work.b, self.tableau.weights, 0, slopes, 0.0, 0.0, 1.0, p, force)
 
         return steps_of_no_length
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """(2, 2) matrix of one accepted step on x'' = -omega^2 x - damping x', state (x, v)."""
-        one = np.eye(2)
-        z = dt * np.array([[0.0, 1.0], [-omega * omega, -damping]])
-        result: Float = 0.0 * one
-        for coefficient in reversed(self.tableau.polynomial):
-            result = z @ result + coefficient * one
-        return result
 
 
 class Dopri5(Adaptive):
@@ -425,7 +419,7 @@ class Dopri5(Adaptive):
 
     name: ClassVar[str] = "dopri5"
     order: ClassVar[int] = 5
-    tableau: ClassVar[Tableau] = DOPRI5
+    tableau: ClassVar[Pair] = DOPRI5
 
 
 class Dop853(Adaptive):
@@ -433,4 +427,4 @@ class Dop853(Adaptive):
 
     name: ClassVar[str] = "dop853"
     order: ClassVar[int] = 8
-    tableau: ClassVar[Tableau] = DOP853
+    tableau: ClassVar[Pair] = DOP853

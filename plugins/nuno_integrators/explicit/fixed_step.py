@@ -1,8 +1,11 @@
-"""Explicit integrators of a fixed step: Euler, symplectic Euler, leapfrog, and Runge-Kutta of order 4."""
+"""Explicit integrators of a fixed step, by a compiled loop over an interval's steps: Euler, symplectic Euler,
+leapfrog.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,15 +13,14 @@ from pydantic import BaseModel
 
 from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
 from nuno_integrators.explicit.updates import add, add_twice
-from nuno_kernels import kernel, shared_source
+from nuno_integrators.stability import measure_rates, stable_step
+from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, hold, settle, slow
 from nuno_kernels.step.blocks import copy_rows
 from nuno_schemas.errors import RunFailed
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
-from nuno_schemas.system import System
-
-# Explicit integrators of a fixed step: one compiled loop over an interval's steps.
+from nuno_schemas.system import StepLimit, System
 
 SPARE = 4
 """Unused buffers behind a loop's own. Compiled code does not check bounds: a loop that uses more buffers than it
@@ -57,13 +59,13 @@ class Explicit(Compiled):
         spare[:, :, :1] = np.nan
         return GuardedWork(packed, np.empty((3, n)), np.empty((3, n)), stages, spare)
 
-    def loop_for(self, packed: Packed) -> Any:
+    def loop_of(self, packed: Packed, extra: Extra) -> Any:
         """Return the loop for a system."""
-        return type(self).loop
+        return source_of(type(self).loop, extra)
 
     def go(self, work: GuardedWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         """Raise RunFailed if the loop has written behind its buffers."""
-        source_of(self.loop_for(packed), extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        self.loop_of(packed, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
         written = np.flatnonzero(~np.isnan(work.spare[:, :, :1]).all(axis=(1, 2)))
         if written.size:
             last = self.buffers + int(written[-1])
@@ -77,7 +79,59 @@ class Explicit(Compiled):
         self.go(work, packed, extra, 0, 0.0)
 
     def step_at_rest(self, work: Work, extra: Extra) -> Any:
-        return source_of(self.loop_for(work.packed), extra)
+        return self.loop_of(work.packed, extra)
+
+    def limit(self, config: Any, system: System, state: State) -> StepLimit:
+        omega, damping = measure_rates(system, state)
+        return StepLimit(stable_step(self.amplification, omega, damping, system.damping), omega, damping)
+
+    def amplification(self, omega: float | Float, damping: float | Float, dt: float | Float) -> Float:
+        """Return the matrices (2, 2, ...) of one step on x'' = -omega^2 x - damping x', state (x, v), by the loop.
+
+        The masses are vertices of their own, of 1 kg. Their step is 1 s, since the matrix depends on omega dt and
+        damping dt alone but for the units of x and v. One row of the arrays starts at x = 1, the next at v = 1.
+        """
+        shape = np.broadcast_shapes(*map(np.shape, (omega, damping, dt)))
+        w, d, h = (np.broadcast_to(value, shape).ravel() for value in (omega * dt, damping * dt, dt))
+        x, v = np.zeros((2, 3, w.size))
+        x[0], v[1] = 1.0, 1.0
+
+        def pull(x: Float, v: Float, s: float, a: Float) -> None:
+            a -= w * w * x + d * v
+
+        packed = Packed(np.ones(w.size), np.zeros(3), 0.0, late=True)
+        in_numpy(type(self).loop)(x, v, np.empty((self.buffers + SPARE, 3, w.size)), 1, 1.0, packed, pull)
+        return np.array([[x[0], x[1] * h], [v[0] / h, v[1]]]).reshape(2, 2, *shape)
+
+
+def in_numpy(loop: Any) -> Any:
+    """Return a loop's source with NumPy's functions in the place of compiled ones: to run it compiles nothing. One that
+    it knows by other names than its module's is compiled, for a system without forces but those in Python.
+    """
+    source = getattr(loop, "py_func", loop)
+    plain = {name: PLAIN[id(value)] for name, value in source.__globals__.items() if id(value) in PLAIN}
+    return FunctionType(source.__code__, source.__globals__ | plain, closure=source.__closure__)
+
+
+def _evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Any) -> None:
+    a[...] = 0.0
+    extra(x, v, s, a)
+
+
+def _add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
+    out[...] = y + h * k
+
+
+def _add_twice(
+    first: Float, y: Float, h: float, k: Float, second: Float, z: Float, g: float, m: Float, threads: int | None
+) -> None:
+    first[...] = y + h * k
+    second[...] = z + g * m
+
+
+PLAIN = {id(evaluate): _evaluate, id(add): _add, id(add_twice): _add_twice}
+PLAIN |= {id(function): lambda *arguments: None for function in (commit, hold, settle, slow)}
+"""what free masses without bodies make of a loop's functions"""
 
 
 # Explicit Euler: x += v dt, v += a dt, both from the old state. Order 1, never stable undamped.
@@ -102,9 +156,6 @@ class Euler(Explicit):
     order: ClassVar[int] = 1
     buffers: ClassVar[int] = 1
     loop: ClassVar[Any] = advance_euler
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        return np.array([[1.0, dt], [-omega * omega * dt, 1.0 - damping * dt]])
 
 
 # Symplectic Euler: v += a dt from the old state, damping included, then x += v_new dt. Order 1.
@@ -147,13 +198,9 @@ class SymplecticEuler(Explicit):
     buffers: ClassVar[int] = 2
     loop: ClassVar[Any] = advance_symplectic_euler
 
-    def loop_for(self, packed: Packed) -> Any:
+    def loop_of(self, packed: Packed, extra: Extra) -> Any:
         """Use one pass a step if contact and Python add no forces."""
-        return advance_at_once if packed.late is None else advance_symplectic_euler
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        square, decay = omega * omega * dt, 1.0 - damping * dt
-        return np.array([[1.0 - square * dt, decay * dt], [-square, decay]])
+        return advance_at_once if packed.late is None else source_of(advance_symplectic_euler, extra)
 
 
 # Leapfrog, or velocity Verlet: x += v dt + a dt^2/2; v += (a_old + a_new) dt/2. Order 2.
@@ -197,90 +244,3 @@ class Leapfrog(Explicit):
     order: ClassVar[int] = 2
     buffers: ClassVar[int] = 3
     loop: ClassVar[Any] = advance_leapfrog
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """The acceleration a = (-omega^2, -damping) is a row on (x, v), so that every line below is a row."""
-        x, v = np.eye(2)
-        a = -omega * omega * x - damping * v
-        moved = x + dt * v + 0.5 * dt * dt * a
-        after = -omega * omega * moved - damping * (v + dt * a)
-        return np.stack([moved, v + 0.5 * dt * (a + after)])
-
-
-# The classical fourth-order Runge-Kutta method, and a variant with the skirt paper's slips.
-
-
-@shared_source
-def evaluate_stage(y: Float, u: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
-    """Compute a = acceleration at the stage (y, u); damping frozen at the step's start acts on its v."""
-    evaluate(y, u, s, a, p, extra)
-    if p.frozen_damping != 0.0:
-        add(a, a, -p.frozen_damping, v, p.threads)
-
-
-@kernel
-def advance_rk4(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """Take `steps` steps of x, v (3, n); stages (5, 3, n).
-
-    Stage i is (y, u) with slopes (u, a). The weighted slopes gather in (nx, nv) while the stages run; y is moved before
-    u, because y's slope is the old u.
-    """
-    a, y, u, nx, nv = stages[0], stages[1], stages[2], stages[3], stages[4]
-    for step in range(steps):
-        if p.leave[0] != 0:
-            break
-        evaluate_stage(x, v, v, step / steps, a, p, extra)
-        add_twice(nx, x, dt / 6.0, v, nv, v, dt / 6.0, a, p.threads)
-        add_twice(y, x, 0.5 * dt, v, u, v, 0.5 * dt, a, p.threads)
-        for stage in range(1, 4):
-            ahead = 0.5 if stage < 3 else 1.0
-            evaluate_stage(y, u, v, (step + ahead) / steps, a, p, extra)
-            if stage < 3:
-                add_twice(nx, nx, dt / 3.0, u, nv, nv, dt / 3.0, a, p.threads)
-                onward = 0.5 * dt if stage == 1 else dt
-                add_twice(y, x, onward, u, u, v, onward, a, p.threads)
-            else:
-                add_twice(x, nx, dt / 6.0, u, v, nv, dt / 6.0, a, p.threads)
-        commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
-
-
-class RK4(Explicit):
-    """RK4: stable for omega dt < 2 sqrt(2) undamped; contact is evaluated at every stage."""
-
-    name: ClassVar[str] = "rk4"
-    order: ClassVar[int] = 4
-    buffers: ClassVar[int] = 5
-    loop: ClassVar[Any] = advance_rk4
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        """Return exp(A dt) to fourth order."""
-        h = dt * np.array([[0.0, 1.0], [-omega * omega, -damping]])
-        one = np.eye(2)
-        return np.asarray(one + h @ (one + h / 2.0 @ (one + h / 3.0 @ (one + h / 4.0))))
-
-
-class RK4Printed(RK4):
-    """RK4 as the skirt paper prints it, kept to show what its slips do.
-
-    The viscous damping is frozen at the step's start, so the method converges at order 1 only, and
-    gravity is counted twice. Not meant for simulation.
-    """
-
-    name: ClassVar[str] = "rk4_printed"
-    order: ClassVar[int] = 1
-
-    def adapt(self, packed: Packed) -> Packed:
-        """Remove damping from the acceleration and double gravity."""
-        return packed._replace(damping=0.0, frozen_damping=packed.damping, gravity=2.0 * packed.gravity)
-
-    def damped(self, packed: Packed, damping: float) -> Packed:
-        return packed if packed.frozen_damping == 0.0 else packed._replace(frozen_damping=damping)
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        x, v = np.eye(2)
-        y, u, nx, nv = x, v, x, v
-        for ahead, weight in ((0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)):
-            a = -omega * omega * y - damping * v
-            nx, nv = nx + dt * weight / 6.0 * u, nv + dt * weight / 6.0 * a
-            y, u = x + ahead * dt * u, v + ahead * dt * a
-        return np.stack([nx, nv])

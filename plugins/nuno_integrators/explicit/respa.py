@@ -218,7 +218,7 @@ class Respa(Compiled):
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Return the limit of all forces with the damping of tension, and of the other forces alone."""
         if has_sliding(system.terms):
-            return super().limit(config, system, state)
+            return SymplecticEuler().limit(config, system, state)
         fast, slow = both_rates(system, state)
         step, whole = stable(fast, slow, system.damping), math.hypot(fast[0], slow[0])
         if config.every != "auto" and math.isfinite(step) and step > 0.0:
@@ -264,16 +264,13 @@ class Respa(Compiled):
         always = work.division.always
         alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(always)
         if alone or _slides(work.packed):
-            return source_of(SymplecticEuler().loop_for(work.packed), extra)
+            return SymplecticEuler().loop_of(work.packed, extra)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
             fast, slow = work.division.fast_part(p), work.division.slow_part(p)
             source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
 
         return loop
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        return SymplecticEuler().amplification(omega, damping, dt)
 
     def about(self, system: System) -> str:
         """Describe the threads, and which forces are kicks."""

@@ -1,123 +1,20 @@
-"""Updates y + h k of positions and velocities, and sums of a Runge-Kutta method's slopes."""
+"""Updates y + h k of positions and velocities, two in one pass over the blocks; and velocities split into their mean
+and the rest, and recombined.
+
+A parallel region costs its threads a barrier; two updates that follow each other share one.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes import WIDTH, read, splat, store, write
+from nuno_kernels import kernel
+from nuno_kernels.lanes import WIDTH, read, write
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
-
-# Sums of a Runge-Kutta method's slopes, and the size of its error estimate.
-#
-# The method is taken in Nystrom's form: with x' = v, v' = a(x, v) the slopes of x are velocities,
-# which are sums of the slopes of v themselves. With k_j = a(y_j, u_j), a stage of the method A is
-#
-#     y_i = x + c_i h v + h^2 sum_j (A A)_ij k_j,    u_i = v + h sum_j A_ij k_j,
-#
-# the same numbers as the usual form gives (Hairer, Norsett & Wanner 1993, section II.14), from half
-# the memory.
-
-
-class Buffers(NamedTuple):
-    """Start (x, v) of the pending step, its end (y, u), and slopes k (s, 3, n), twice the same memory."""
-
-    x: Float
-    v: Float
-    y: Float
-    u: Float
-    k: Float
-    flat: Float
-    """(3 s, n)"""
-    sums: Float
-    wait: Float
-
-
-class Stage(NamedTuple):
-    """y = x + ch v + h^2 sum position_j k_j and u = v + h sum velocity_j k_j, over the first `slopes` of them."""
-
-    ch: float
-    h: float
-    position: Float
-    velocity: Float
-    slopes: int
-
-
-@block_kernel
-def combine_block(block: int, b: Buffers, stage: Stage, y: Float, u: Float) -> None:
-    """Compute a stage (y, u) on a block's vertices."""
-    x, v, k, position, velocity = b.x, b.v, b.flat, stage.position, stage.velocity
-    ch, h, count = stage.ch, stage.h, stage.slopes
-    low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    for row in range(3):
-        for p in range(low, high, WIDTH):
-            m = min(WIDTH, high - p)
-            moved, sped = splat(0.0), splat(0.0)
-            for j in range(count):
-                if position[j] != 0.0 or velocity[j] != 0.0:
-                    slope = read(k, 3 * j + row, p, m)
-                    moved = moved + position[j] * slope
-                    sped = sped + velocity[j] * slope
-            speed = read(v, row, p, m)
-            write(y, row, p, m, read(x, row, p, m) + (ch * speed + h * h * moved))
-            write(u, row, p, m, speed + h * sped)
-
-
-combine_blocks = over_blocks(combine_block, "b, stage, y, u")
-
-
-@kernel
-def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -> None:
-    """Compute a stage (y, u) (3, n) from the state and the slopes in b."""
-    combine_blocks(b, stage, y, u, (y.shape[1] + BLOCK - 1) // BLOCK, threads)
-
-
-@block_kernel
-def add_squares(block: int, k: Float, weights: Float, sums: Float, wait: Float) -> None:
-    """Sum (sum_j weights_j k_j)^2 over a block, into sums; `wait` (blocks, 1, 8) is scratch."""
-    low, high = block * BLOCK, min((block + 1) * BLOCK, k.shape[1])
-    total = splat(0.0)
-    for row in range(3):
-        for p in range(low, high, WIDTH):
-            m = min(WIDTH, high - p)
-            e = splat(0.0)
-            for j in range(weights.shape[0]):
-                if weights[j] != 0.0:
-                    e = e + weights[j] * read(k, 3 * j + row, p, m)
-            total = total + e * e
-    lanes = wait[block]
-    store(lanes, 0, 0, total)
-    result = 0.0
-    for lane in range(WIDTH):
-        result += lanes[0, lane]
-    sums[block] = result
-
-
-square_blocks = over_blocks(add_squares, "k, weights, sums, wait")
-
-
-@block_kernel
-def square(k: Float, weights: Float, sums: Float, wait: Float, threads: int | None) -> float:
-    """Return the sum over all vertices of |sum_j weights_j k_j|^2, in an order independent of threads.
-
-    sums (blocks,) and wait (blocks, 1, 8) are scratch; a pinned vertex has slopes 0.
-    """
-    square_blocks(k, weights, sums, wait, sums.shape[0], threads)
-    total = 0.0
-    for block in range(sums.shape[0]):
-        total += sums[block]
-    return total
-
-
-# Updates y + h k of positions and velocities, two in one pass over the blocks; and velocities split into their mean
-# and the rest, and recombined.
-#
-# A parallel region costs its threads a barrier; two updates that follow each other share one.
 
 
 @kernel

@@ -24,6 +24,7 @@ from pydantic import Field
 from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, lacking
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Limits, Stage, compile_stage, limit_approach, make_stage, solve_stage
+from nuno_integrators.stability import measure_rates
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
@@ -99,8 +100,7 @@ class Implicit(Compiled):
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
         """Return no limit."""
-        rates = super().limit(config, system, state)
-        return StepLimit(float("inf"), rates.omega, rates.damping)
+        return StepLimit(float("inf"), *measure_rates(system, state))
 
     def about(self, system: System) -> str:
         """Describe the threads, and which forces have no matrix of their own in Newton's method."""
@@ -215,9 +215,6 @@ class ImplicitEuler(Implicit):
         work.stage.v[...] = work.v
         return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
 
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        return np.asarray(np.linalg.inv(np.array([[1.0, -dt], [omega * omega * dt, 1.0 + damping * dt]])))
-
 
 class TRBDF2(Implicit):
     """Trapezoidal rule to gamma h, backward differences from there. Order 2."""
@@ -256,10 +253,3 @@ class TRBDF2(Implicit):
         st.missing += near * first
         st.missing *= 0.5 * GAMMA
         return result
-
-    def amplification(self, omega: float, damping: float, dt: float) -> Float:
-        rate, one, g = np.array([[0.0, 1.0], [-omega * omega, -damping]]), np.eye(2), 0.5 * GAMMA * dt
-        inverse = np.linalg.inv(one - g * rate)
-        middle = inverse @ (one + g * rate)
-        near = 1.0 / (GAMMA * (2.0 - GAMMA))
-        return np.asarray(inverse @ (near * middle - (near - 1.0) * one))
