@@ -132,7 +132,7 @@ def an_implicit_step_ends_where_its_equation_says(subject: Subject) -> None:
 def any_number_of_threads_gives_the_same_bits(subject: Subject) -> None:
     """One and two threads give the same bits on a sheet large enough for two."""
     one, two = (Probe(subject, MANY, threads=threads) for threads in (1, 2))
-    if not two.solver.about(two.system).startswith("2 threads"):
+    if not two.memory().about.startswith("2 threads"):
         pytest.skip("one thread is all there is")
     x, v = random_state(one)
     assert one.forces(x, v).tobytes() == two.forces(x, v).tobytes()

@@ -139,8 +139,9 @@ class Compiled(ABC):
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        arrays, bounds = _state_arrays(packed, work)
-        return Memory(arrays, work, bounds)
+        timed = any(term.in_python for term in system.terms)
+        arrays, bounds = _state_arrays(work)
+        return Memory(arrays, work, bounds, self.about(system), making_lists(packed), not timed)
 
     @abstractmethod
     def make_work(self, config: Any, system: System, packed: Packed) -> Work:
@@ -175,11 +176,9 @@ class Compiled(ABC):
     ) -> StepReport:
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
         began = time.perf_counter()
-        work: Work = memory.work  # type: ignore[assignment]
+        work, extra = _enter(system, state, memory, state.t + steps * dt)
         work.packed = self.damped(work.packed, float(system.damping))
         packed = _set_poses(work.packed, poses)
-        _restore(packed, work, memory)
-        extra = _enter(system, state, work, state.t + steps * dt)
         call_each(packed, "frame.begin", work.x, steps * dt, packed.threads)
         if steps == 0:
             self.compile(work, packed, extra)
@@ -221,17 +220,10 @@ class Compiled(ABC):
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
-        """See nuno_schemas.plugin.Integrator."""
-        work: Work = memory.work  # type: ignore[assignment]
+        """See nuno_schemas.plugin.Inspected."""
+        work, extra = _enter(system, state, memory, state.t)
         packed = _set_poses(work.packed, poses)
-        _restore(packed, work, memory)
-        extra = _enter(system, state, work, state.t)
         return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
-
-    def making_lists(self, memory: Memory) -> tuple[str, ...]:
-        """See nuno_schemas.plugin.Integrator."""
-        work: Work = memory.work  # type: ignore[assignment]
-        return making_lists(work.packed)
 
     def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
         """Return pieces (k,) and places (k, 3) [m] of stuck vertices of each term; also within a step."""
@@ -239,10 +231,9 @@ class Compiled(ABC):
         return call_each(work.packed, "report.pinched")
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
-        """See nuno_schemas.plugin.Integrator."""
-        work: Work = memory.work  # type: ignore[assignment]
+        """See nuno_schemas.plugin.Inspected."""
+        work, extra = _enter(system, state, memory, state.t)
         packed = _set_poses(work.packed, poses)
-        extra = _enter(system, state, work, state.t)
         force = np.empty_like(work.x)
         evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
         force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
@@ -250,9 +241,9 @@ class Compiled(ABC):
         return unbalance(system.fabric, state.x, state.v, force.T)
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
-        """See nuno_schemas.plugin.Integrator."""
-        work: Work = memory.work  # type: ignore[assignment]
-        packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
+        """See nuno_schemas.plugin.Inspected."""
+        work, extra = _enter(system, state, memory, state.t)
+        packed = undisturbed(work.packed)
         if poses is not None:
             self._begin_at(packed, work, poses[1])
         packed = _set_poses(packed, poses)
@@ -260,9 +251,9 @@ class Compiled(ABC):
         return find_forces(system, state, packed, work.x, work.v, extra, poses, *felt)
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
-        """See nuno_schemas.plugin.Integrator."""
-        work: Work = memory.work  # type: ignore[assignment]
-        packed, extra = undisturbed(work.packed), _enter(system, state, work, state.t)
+        """See nuno_schemas.plugin.Inspected."""
+        work, extra = _enter(system, state, memory, state.t)
+        packed = undisturbed(work.packed)
         self._begin_at(packed, work, poses[1])
         free = self.free_forces(system, work, packed, extra)
         _set_poses(packed, poses)
@@ -293,13 +284,21 @@ class Compiled(ABC):
         return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]}){fewer}"
 
 
-def _enter(system: System, state: State, work: Work, end: float) -> Extra:
-    """Copy the state into the kernels' layout, and return the forces written in Python, or None."""
+def _enter(system: System, state: State, memory: Memory, end: float) -> tuple[Any, Extra]:
+    """Copy the state into the kernels' layout, and a checkpoint's arrays into the method's own. Return the method's
+    buffers, and the forces written in Python up to the time `end` [s], or None.
+    """
+    work: Work = memory.work  # type: ignore[assignment]
+    for name, own in _state_arrays(work)[0].items():
+        array = memory.arrays[name]
+        if array is not own:
+            own[...] = array
+            memory.arrays[name] = own
     if work.tuning is not None:
         numba.set_num_threads(work.tuning.choose() if state.t < end else work.tuning.threads)
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
-    return python_terms(system, state.t, end)
+    return work, python_terms(system, state.t, end)
 
 
 def lacking(terms: Sequence[Term], role: str) -> list[str]:
@@ -334,11 +333,11 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     return packed
 
 
-def _state_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], dict[str, Bounds]]:
+def _state_arrays(work: Work) -> tuple[dict[str, NDArray[Any]], dict[str, Bounds]]:
     """Return the terms' and the method's arrays that are part of the state, and the bounds of their entries."""
     arrays: dict[str, NDArray[Any]] = {}
     bounds: dict[str, Bounds] = {}
-    for term in {id(term): term for term in (*packed.forces, *packed.bodies)}.values():
+    for term in {id(term): term for term in (*work.packed.forces, *work.packed.bodies)}.values():
         kernels = kernels_of(term)
         term_bounds = kernels.bounds(term) if kernels.bounds else {}
         for name in kernels.memory:
@@ -348,15 +347,6 @@ def _state_arrays(packed: Packed, work: Work) -> tuple[dict[str, NDArray[Any]], 
             if name in term_bounds or arrays[key].dtype.kind == "f":
                 bounds[key] = term_bounds.get(name, Bounds())
     return arrays | work.state_arrays(), bounds | work.bounds()
-
-
-def _restore(packed: Packed, work: Work, memory: Memory) -> None:
-    """Copy the arrays of a checkpoint into the method's own."""
-    for name, array_of_method in _state_arrays(packed, work)[0].items():
-        array = memory.arrays[name]
-        if array is not array_of_method:
-            array_of_method[...] = array
-            memory.arrays[name] = array_of_method
 
 
 def _report(system: System, work: Work, packed: Packed, taken: StepResult, failure: str, seconds: float) -> StepReport:

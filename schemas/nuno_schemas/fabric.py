@@ -523,8 +523,14 @@ class Memory:
     work can be rebuilt at any time (kernel layouts, buffers) and is never stored.
     bounds limit the entries of arrays that are read from a file. Every array of integers needs bounds, even if any
     integer is allowed: a kernel does not check an index. Floats of a term must be finite unless bounds allow others.
+    about describes for the report how the kernels run the system: the number of threads, and why.
+    lists names the terms that rebuild lists only in some steps: only real steps show their cost.
+    timeless tells that nothing depends on the time: after a frame that changes nothing none is stepped.
     """
 
     arrays: dict[str, NDArray[np.generic]] = field(default_factory=dict)
     work: object = None
     bounds: dict[str, Bounds] = field(default_factory=dict)
+    about: str = ""
+    lists: tuple[str, ...] = ()
+    timeless: bool = False

@@ -186,42 +186,42 @@ class Integrator(Plugin, Protocol):
         """
         ...
 
+
+class Inspected(Integrator, Protocol):
+    """An integrator that also tells what acts in a state. Without these methods runs have no forces, no share of each
+    force in their time, and cannot go on until balance.
+
+    No method changes state or memory; poses are as in `advance`.
+    """
+
     def profile(
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
         """Measure the wall time by part [s] of one step on `state`, or of one evaluation of the forces for methods that
         count evaluations: "springs", "hinges", "wind", "contact", "python", as far as the system has them.
 
-        The terms of `making_lists` are left out. Changes neither state nor memory; poses as in `advance`. Called at the
-        end of a run, so that it does not slow down the run's own steps.
+        The terms of `Memory.lists` are left out. Called at the end of a run, so that it does not slow down the run's
+        own steps.
         """
-        ...
-
-    def making_lists(self, memory: Memory) -> tuple[str, ...]:
-        """Return the names of the terms that rebuild lists only in some steps: only real steps show their cost."""
         ...
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """Return how far each vertex is from rest, shape (n,): the force that surfaces and friction do not balance, and
         that which its velocity will become, over the springs' mean tension. 0 for held vertices, inf for all others of
-        cloth without springs. Changes neither state nor memory; poses as in `advance`.
+        cloth without springs.
         """
         ...
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """Return the forces in a state by kind, with the bodies' poses and velocities at the end of the interval of
-        `poses`, as held vertices of the state have them. Changes neither state nor memory.
+        `poses`, as held vertices of the state have them.
         """
         ...
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """Return the forces of each body on the cloth in a state, with the bodies' poses and velocities at the end of
-        the interval of `poses`. Changes neither state nor memory.
+        the interval of `poses`.
         """
-        ...
-
-    def about(self, system: System) -> str:
-        """Describe for the report how the kernels run this system: the number of threads, and why."""
         ...
 
 

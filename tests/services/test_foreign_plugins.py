@@ -127,27 +127,22 @@ def test_one_that_lacks_what_its_kind_owes_is_named(
 
 OLD = """
 from nuno_schemas.fabric import Memory
-from nuno_schemas.system import StepLimit
 class Old:
     name, order, explicit, adaptive = "old", 1, True, False
     Config = Config
     def prepare(self, config, system, state):
         return Memory()
-    def limit(self, config, system, state):
-        return StepLimit(1.0, 1.0, 0.0)
 """
 
 
-def test_a_solver_of_an_earlier_version_is_told_what_it_lacks(
-    packages: Packages, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_solver_is_told_what_it_lacks(packages: Packages, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Before the first frame."""
     packages.add("older", OLD, "old = older:Old", group="nuno.integrators")
     scene = write_scene(tmp_path, solver={"plugin": "old", "dt": "1 ms"}, duration=0.1)
     for command in (["plan", str(scene)], ["run", str(scene), "--no-view", "--no-record"]):
         assert main(command) == 2
         said = capsys.readouterr().err
-        assert "the plugin 'old' of older 1.2 in nuno.integrators has no making_lists" in said
+        assert "the plugin 'old' of older 1.2 in nuno.integrators has no limit" in said
         assert "docs/reference/protocols.md" in said and "Traceback" not in said
 
 

@@ -137,9 +137,12 @@ class Simulation(Stepper):
         self.rested, settled = settle(self.loaded, simulate)
         self.fabric, self.pieces, arranged = cloth.build_with_facts(self.loaded, geometry, poses, self.rested)
         self.arranged = [*settled, *arranged]
-        if loaded.scene.until == "balance" and not self.fabric.bears_tension:
-            problem, remedy = "cloth without springs or membrane has no tension to balance", "take until: rest"
-            raise loaded.at("until", BadInput(problem, value="balance", remedy=remedy))
+        if loaded.scene.until == "balance":
+            problem = "" if self.fabric.bears_tension else "cloth without springs or membrane has no tension to balance"
+            if not hasattr(loaded.integrator.plugin, "unbalance"):
+                problem = f"the solver {loaded.integrator.name} does not tell how far cloth is from balance"
+            if problem:
+                raise loaded.at("until", BadInput(problem, value="balance", remedy="take until: rest"))
         self.start_poses = self.before = self.poses = poses
         self.find_poses: Callable[[int], Poses | None] = lambda frame: poses
         self.body_notes: tuple[str, ...] = ()
@@ -192,7 +195,7 @@ class Simulation(Stepper):
         self.limit = find_limit(self.loaded, self.solver.plugin, self.system, start)
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
-        self.costs.begin(self.loaded.integrator.plugin.making_lists(self.memory))
+        self.costs.begin(self.memory.lists)
         # A run that goes on from a checkpoint must come to rest in the same frame.
         scene = self.loaded.scene
         self.stillness = Stillness(scene.frame_rate, self.fabric.number, scene.rest_speed or REST_SPEED * self._size)
@@ -271,8 +274,7 @@ class Simulation(Stepper):
             self.costs.after(report)
             report = self._judge(report, begun)
             # Frames after one that changes nothing change nothing either.
-            timeless = not any(term.in_python for term in self.system.terms)
-            self._still = bool(before) and timeless and report.status == "ok" and before == self._content()
+            self._still = bool(before) and self.memory.timeless and report.status == "ok" and before == self._content()
             self._report = report
         self.frame += 1
         self.state.t = self.t
@@ -357,12 +359,13 @@ class Simulation(Stepper):
 
     def about(self) -> str:
         """Return how the solver's kernels run, in words."""
-        return str(self.loaded.integrator.plugin.about(self.system))
+        return self.memory.about
 
     def divide(self, seconds: float) -> dict[str, float]:
         """Return the time of each part of the steps [s], of all their `seconds`."""
         chosen, pair = self.solver, (self.poses, self.poses) if self.poses else None
-        each = chosen.plugin.profile(self.system, self.state, self.memory, pair)
+        profile = getattr(chosen.plugin, "profile", None)
+        each = {} if profile is None else profile(self.system, self.state, self.memory, pair)
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
 
     def holds(self) -> str:
