@@ -26,10 +26,11 @@ from nuno_integrators.diagnostics import (
     undisturbed,
 )
 from nuno_integrators.packing import (
+    begin_interval,
     hold_over,
     making_lists,
     pack,
-    python_terms,
+    reads_time,
     silence,
     silence_bodies,
     thread_count,
@@ -139,7 +140,7 @@ class Compiled(ABC):
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        timed = any(term.in_python for term in system.terms)
+        timed = reads_time(packed) or any(term.in_python for term in system.terms)
         arrays, bounds = _state_arrays(work)
         return Memory(arrays, work, bounds, self.about(system), making_lists(packed), not timed)
 
@@ -210,7 +211,7 @@ class Compiled(ABC):
             packed = _set_poses(work.packed, poses and (poses[0], poses[0]))
 
             def go(taken: int, more: int) -> None:
-                extra = python_terms(system, before.t + taken * dt, before.t + (taken + more) * dt)
+                extra = begin_interval(packed, system, before.t + taken * dt, before.t + (taken + more) * dt)
                 call_each(packed, "frame.begin", work.x, more * dt, packed.threads)
                 self.go(work, packed, extra, more, dt)
 
@@ -298,7 +299,7 @@ def _enter(system: System, state: State, memory: Memory, end: float) -> tuple[An
         numba.set_num_threads(work.tuning.choose() if state.t < end else work.tuning.threads)
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
-    return work, python_terms(system, state.t, end)
+    return work, begin_interval(work.packed, system, state.t, end)
 
 
 def lacking(terms: Sequence[Term], role: str) -> list[str]:

@@ -43,8 +43,8 @@ def thread_count(system: System) -> int:
 
 
 def pack(system: System, copy: bool = True) -> Packed:
-    """Return the kernel layout of a system. Raises BadInput for a force of a type without kernels; `python_terms` takes
-    those in Python. Without `copy` its terms' arrays are the system's: for callers that take no steps.
+    """Return the kernel layout of a system. Raises BadInput for a force of a type without kernels; `begin_interval`
+    takes those in Python. Without `copy` its terms' arrays are the system's: for callers that take no steps.
     """
     fabric = system.fabric
     packed_terms = [part for term in system.terms if not callable(term.data) for part in term.data]
@@ -75,6 +75,7 @@ def pack(system: System, copy: bool = True) -> Packed:
         threads=threads if threads > 1 else None,
         late=True if python or adds else None,
         moved=moved,
+        time=np.zeros(2),
         leave=system.leave,
     )
     return packed._replace(velocity_matters=python or reads_velocity(packed))
@@ -142,6 +143,11 @@ def reads_velocity(packed: Packed) -> bool:
     return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
 
 
+def reads_time(packed: Packed) -> bool:
+    """Whether any of the compiled forces depends on the time."""
+    return any(kernels_of(term).reads_time for term in packed.forces)
+
+
 def _has_steps(kernels: Kernels) -> bool:
     """Whether terms have a part in steps besides a force by blocks."""
     return kernels.step.block is None or kernels.step.hold is not None
@@ -184,11 +190,13 @@ def copy_term(data: Any) -> Any:
     return type(data)(*map(copied, data))
 
 
-def python_terms(system: System, start: float, end: float) -> Extra:
-    """Return one function that adds all forces written in Python to rows, or None without any.
+def begin_interval(packed: Packed, system: System, start: float, end: float) -> Extra:
+    """Write the interval's times [s] into the packed system, and return one function that adds all forces written in
+    Python to rows, or None without any.
 
     They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
     """
+    packed.time[:] = start, end - start
     calls: list[Any] = [term.data for term in system.terms if callable(term.data)]
     if not calls:
         return None

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_integrators.packing import pack, python_terms, reads_velocity, silence_bodies, to_rows
+from nuno_integrators.packing import begin_interval, pack, reads_velocity, silence_bodies, to_rows
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
@@ -123,11 +123,11 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
     The reach is 1e-5 of the shortest spring: curvature then spoils 1e-10 of a product and rounding
     1e-11 R/L, for which positions are taken from their middle where no force depends on the place.
     """
-    extra = python_terms(system, state.t, state.t)
     if system.fabric.springs is not None:
         # A spring that locks may do so at any time: it counts as if it had.
         system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
     packed = silence_bodies(pack(system, copy=False))
+    extra = begin_interval(packed, system, state.t, state.t)
     x, v = to_rows(state.x), to_rows(state.v)
     # A slipping element holds again as soon as it turns.
     call_each(packed, "frame.stick", x)
@@ -136,7 +136,7 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
-        packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))
+        packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))._replace(time=packed.time)
         call_each(packed, "frame.stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)

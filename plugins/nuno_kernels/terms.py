@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from inspect import signature
 from operator import attrgetter
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
@@ -55,6 +56,16 @@ class Displaced(NamedTuple):
 
 
 @dataclass(frozen=True)
+class VertexRoles:
+    """What a force on each vertex alone is made of: see nuno_kernels.forces.vertex."""
+
+    force: Any = None
+    """force(term, x, v, t) -> three newtons, with those of x, v and t that it names"""
+    energy: Any = None
+    """energy(term, x) -> joules"""
+
+
+@dataclass(frozen=True)
 class StepRoles:
     """Compiled functions that every method's steps call.
 
@@ -62,7 +73,8 @@ class StepRoles:
     """
 
     block: Any = None
-    """block(term, block, origin, x, v, force) adds newtons to the block's force (3, w), column 0 vertex `origin`"""
+    """block(term, block, origin, x, v, force, t) adds newtons to the block's force (3, w), column 0 vertex `origin`, at
+    the time t [s]; one that does not depend on it has no such parameter"""
     after: Any = None
     """after(term, x, v, s, a, threads) adds newtons to a (3, n) once all blocks are done"""
     place: Any = None
@@ -197,12 +209,19 @@ class Kernels:
     reads_velocity: Callable[[Any], bool] = lambda term: False
     vertices: Callable[[Any], int] = lambda term: 0
     """number of vertices that a term examines, if bodies' vertices are among them"""
+    vertex: VertexRoles = VertexRoles()
     step: StepRoles = StepRoles()
     frame: FrameRoles = FrameRoles()
     matrix: MatrixRoles = MatrixRoles()
     newton: NewtonRoles = NewtonRoles()
     xpbd: XpbdRoles = XpbdRoles()
     report: ReportRoles = ReportRoles()
+
+    @property
+    def reads_time(self) -> bool:
+        """Whether its force depends on the time."""
+        force = self.vertex.force or self.step.block
+        return force is not None and "t" in parameters_of(force)
 
     def find(self, role: str) -> Any:
         """Return the function of a role such as "step.block", None for none."""
@@ -249,7 +268,12 @@ COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a 
 """Body of functions that numba replaces in compiled code. Interpreted, as with a force written in Python, it raises."""
 
 
-def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
+def parameters_of(function: Any) -> list[str]:
+    """Return the names of the parameters of a function, compiled or not."""
+    return list(signature(getattr(function, "py_func", function)).parameters)
+
+
+def define(name: str, parameters: str, body: str, **scope: Any) -> Any:
     """Make a function from source: numba has no other way to call by a tuple's types."""
     exec(f"def {name}({parameters}):\n{body or '    pass'}\n", scope)
     return scope[name]
@@ -257,20 +281,23 @@ def _define(name: str, parameters: str, body: str, **scope: Any) -> Any:
 
 def each(role: str, parameters: str, linear: bool = False) -> Any:
     """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of a role such as
-    "step.block", in order.
+    "step.block", in order, each with as many of the parameters as it has.
 
     `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
     """
     head = f"terms, on, rows, {parameters}" if linear else f"terms, on, {parameters}"
-    term = "terms[{0}], rows[{0}]" if linear else "terms[{0}]"
-    call = "    if on[{0}]:\n        kernel{0}(" + term + ", " + parameters + ")\n"
 
-    def build(kinds: Any) -> Any:
-        kernels = {f"kernel{k}": by_address(role_of(kind.instance_class, role)) for k, kind in enumerate(kinds)}
-        lines = [call.format(k) for k in range(len(kinds)) if kernels[f"kernel{k}"] is not None]
-        return _define("each", head, "".join(lines), **kernels)
+    def build(terms: Any) -> Any:
+        kernels, body = dict[str, Any](), ""
+        for k, kind in enumerate(terms.types):
+            kernel = role_of(kind.instance_class, role)
+            if kernel is not None:
+                given = [f"terms[{k}]", *([f"rows[{k}]"] if linear else []), *parameters.split(", ")]
+                body += f"    if on[{k}]:\n        kernel{k}({', '.join(given[: len(parameters_of(kernel))])})\n"
+                kernels[f"kernel{k}"] = by_address(kernel)
+        return define("each", head, body, **kernels)
 
-    return _overloaded(head, build)
+    return overloaded(head, build)
 
 
 def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block") -> Any:
@@ -284,22 +311,22 @@ def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block")
     """
     head, call = f"{parameters}, blocks{', work' if worth else ''}, threads", f"one(block, {parameters})"
     body = f"    for block in prange(blocks):\n        one({order}, {parameters})"
-    loop = numba.njit(parallel=True, **FLAGS)(_define("loop", f"{parameters}, blocks", body, one=one, prange=prange))
-    alone = _define("alone", head, f"    for block in range(blocks):\n        {call}", one=one)
+    loop = numba.njit(parallel=True, **FLAGS)(define("loop", f"{parameters}, blocks", body, one=one, prange=prange))
+    alone = define("alone", head, f"    for block in range(blocks):\n        {call}", one=one)
     body = f"    loop({parameters}, blocks)"
     if worth:
         body = f"    if work < {worth}:\n        alone({head})\n    else:\n    {body}"
-    several = _define("several", head, body, loop=loop, alone=numba.njit(**FLAGS)(alone))
-    called = _define("called", head, COMPILED)
+    several = define("several", head, body, loop=loop, alone=numba.njit(**FLAGS)(alone))
+    called = define("called", head, COMPILED)
     body = "    return alone if isinstance(threads, types.NoneType) else several"
-    typed = _define("typed", head, body, alone=alone, several=several, types=types)
+    typed = define("typed", head, body, alone=alone, several=several, types=types)
     overload(called, jit_options=FLAGS, inline="always")(typed)
     return called
 
 
-def _overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
-    """Return a function that compiled code calls as the one that `build` makes for the types in its first parameter."""
-    called = _define("called", parameters, COMPILED)
-    typed = _define("typed", parameters, "    return build(terms.types)", build=build)
+def overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
+    """Return a function that compiled code calls as the one that `build` makes for the type of its first parameter."""
+    called = define("called", parameters, COMPILED)
+    typed = define("typed", parameters, f"    return build({parameters.partition(',')[0]})", build=build)
     overload(called, jit_options=FLAGS, inline="always")(typed)
     return called

@@ -24,10 +24,8 @@ class Plain(Magnet):
     name = "plain"
 
     def prepare(self, config, fabric, seed):
-        centre = np.array([0.1, 0.2, 0.3])
-
         def pull(x, v, t, out):
-            out += config.stiffness * (centre - x)
+            out -= config.stiffness * x
 
         return Term("plain", pull)
 """
@@ -51,13 +49,40 @@ def test_it_does_what_the_same_force_does_in_python(packages: Packages, tmp_path
 
 
 def test_its_energy_is_in_the_balance(packages: Packages, tmp_path: Path) -> None:
-    """Undamped, without wind: the sum of all kinds changes by what a step of first order loses, not by the pull's."""
+    """Undamped, weightless: the sum of all kinds changes by what a step of first order loses, not by the pull's."""
     packages.add_shown("magnets", PLAIN, "plain = magnets:Plain")
     forces = [{"plugin": "magnet", "stiffness": 0.02}]
-    first, last = run(tmp_path, "magnet", "symplectic_euler", forces=forces).report["energy"]
+    first, last = run(tmp_path, "magnet", "symplectic_euler", forces=forces, gravity=[0, 0, 0]).report["energy"]
     change = abs(last["magnet"] - first["magnet"])
     assert change > 0.0
     assert abs(sum(last.values()) - sum(first.values())) < 0.05 * change
+
+
+LATE = """
+from typing import NamedTuple
+from nuno_kernels.forces.vertex import vertex_force
+
+@vertex_force("late")
+class Late(NamedTuple):
+    strength: float
+
+    def force(self, t):
+        return (self.strength if t > 0.05 else 0.0), 0.0, 0.0
+
+class LateGust:
+    name, Config = "late", Config
+
+    def prepare(self, config, fabric, seed):
+        return Term("late", (Late(1e-3),))
+"""
+
+
+def test_a_force_that_begins_later_finds_cloth_that_stands_still(packages: Packages, tmp_path: Path) -> None:
+    """Frames that change nothing are not left out where a force depends on the time."""
+    packages.add("gusts", LATE, "late = gusts:LateGust")
+    still, moved = (run(tmp_path, "late", "symplectic_euler", forces=forces, gravity=[0, 0, 0], duration=duration).x
+                    for forces, duration in (([], 0.1), ([{"plugin": "late"}], 0.1)))  # fmt: skip
+    assert np.abs(moved - still)[1:, 0].min() > 1e-6
 
 
 @pytest.mark.full
@@ -80,8 +105,8 @@ def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path)
     scene = write_scene(tmp_path, duration=0.1, forces=[{"plugin": "magnet", "stiffness": 0.02}])
     command = [sys.executable, "-m", "nuno", "run", str(scene), "--no-view", "--record", str(record)]
     ends = []
-    for sign in ("+=", "-="):
-        source.write_text(shown("magnets").replace("+= pull.stiffness", f"{sign} pull.stiffness"))
+    for sign in ("-", "+"):
+        source.write_text(shown("magnets").replace("return -self", f"return {sign}self"))
         subprocess.run(command, env=os.environ | {"PYTHONPATH": str(source.parent)}, check=True, timeout=120)
         with nuno.open(record) as recording:
             ends.append(recording.last_checkpoint().x)
@@ -92,26 +117,36 @@ def test_what_changes_in_it_is_compiled_anew(packages: Packages, tmp_path: Path)
 
 STITCHES = {"plugin": "stitches", "pairs": [[0, 5], [1, 4]], "stiffness": 2e3}
 LOOSE = """
+from typing import Annotated, NamedTuple
+
+from nuno_kernels import kernel
+from nuno_kernels.step.blocks import BLOCK
+from nuno_kernels.terms import StepRoles, register
+from nuno_schemas.fabric import Int
+
 
 class Loose(NamedTuple):
     partner: Annotated[Int, "n"]
-    pairs: Annotated[Int, 2, "p"]
     stiffness: float
 
 
-register(
-    Loose,
-    name="loose",
-    step=StepRoles(block=add_stitches),
-    report=ReportRoles(energy=energy_of),
-)
+@kernel
+def add_stitches(loose, block, origin, x, v, force):
+    for c in range(min(BLOCK, x.shape[1] - origin)):
+        for row in range(3):
+            force[row, c] += loose.stiffness * (x[row, loose.partner[origin + c]] - x[row, origin + c])
+
+
+register(Loose, name="loose", step=StepRoles(block=add_stitches))
 
 
 class LooseStitches(Stitches):
     name = "loose"
 
     def prepare(self, config, fabric, seed):
-        return Term("loose", (Loose(*super().prepare(config, fabric, seed).data[0]),))
+        pairs, partner = np.array(config.pairs, np.int32).T, np.arange(fabric.number, dtype=np.int32)
+        partner[pairs[0]], partner[pairs[1]] = pairs[1], pairs[0]
+        return Term("loose", (Loose(partner, config.stiffness),))
 """
 """The same force without matrix and constraints."""
 

@@ -2,7 +2,8 @@
 
 A step may reach past the end of a frame, whose state is then read from the polynomial that the
 step's slopes define; the step itself goes on into the next frame. Where bodies move or a force is
-written in Python a step ends with the frame, because what comes after is not known yet.
+written in Python a step ends with the frame, because what comes after is not known yet; and where one depends on the
+time, since slopes that a resumed run finds anew would have it rounded otherwise.
 
 Weighed: SciPy's RK45 and DOP853, which return to Python for every stage and begin anew in every frame; `nuno bench
 peers` measures them on the stiff sheet.
@@ -30,6 +31,7 @@ from nuno_integrators.explicit.runge_kutta import (
     take_stages,
     take_stages_interpreted,
 )
+from nuno_integrators.packing import reads_time
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.lanes import WIDTH, lane, read, splat
@@ -322,7 +324,7 @@ class Adaptive(Compiled):
         x, v, y, u = np.empty((4, 3, n))
         buffers = Buffers(x, v, y, u, np.zeros((3 * len(table.rows), n)))
         control = np.array([0.0, 0.0, np.inf, 1e-4])
-        known_ahead = not packed.bodies and not any(term.in_python for term in system.terms)
+        known_ahead = not packed.bodies and not reads_time(packed) and not any(term.in_python for term in system.terms)
         free = max(1, int((~fabric.pinned).sum()))
         allowed = config.tolerance * size * np.sqrt(free)
         # From the fabric, not from the state of a run that goes on: it must choose the same steps again.

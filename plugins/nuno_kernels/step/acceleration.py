@@ -18,7 +18,7 @@ from nuno_kernels.step.blocks import BLOCK, PADDING, Long
 from nuno_kernels.terms import each, over_blocks, role_of
 from nuno_schemas.fabric import Bool, Float
 
-add_blocks = each("step.block", "block, origin, x, v, force")
+add_blocks = each("step.block", "block, origin, x, v, force, t")
 place = each("step.place", "x, v, s")
 look_at = each("step.look", "x, v")
 add_after = each("step.after", "x, v, s, a, threads")
@@ -48,6 +48,7 @@ class Packed(NamedTuple):
     moved         whether bodies move vertices or friction's anchors after a step: an acceleration found before is
                   then not that of the next step's start
     frozen_damping    [1/s] of a method that takes it at the step's start (rk4_printed)
+    time          (2,) [s] when the interval begins, and its length
     leave         (1,) not 0: what loops over steps is to return at once, wherever it is; another thread may write it
     """
 
@@ -63,6 +64,7 @@ class Packed(NamedTuple):
     velocity_matters: bool = True
     moved: bool = False
     frozen_damping: float = 0.0
+    time: Float = np.zeros(2)
     leave: Long = np.zeros(1, np.int64)
 
 
@@ -106,15 +108,17 @@ def step_block(
 
 
 @block_kernel
-def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Float, to_v: Float) -> None:
-    """Compute forces on a block's vertices, summed in the core's cache: a step of symplectic Euler into to_x, to_v (3,
-    n), or, if dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind would compile all
-    forces anew.
+def force_block(
+    block: int, p: Packed, t: float, dt: float, x: Float, v: Float, to_x: Float, to_v: Float
+) -> None:  # fmt: skip
+    """Compute forces on a block's vertices at the time t [s], summed in the core's cache: a step of symplectic Euler
+    into to_x, to_v (3, n), or, if dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind
+    would compile all forces anew.
     """
     origin = block * BLOCK
     width = min(BLOCK, x.shape[1] - origin)
     force = np.zeros((3, width + PADDING))
-    add_blocks(p.forces, p.forces_on, block, origin, x, v, force)
+    add_blocks(p.forces, p.forces_on, block, origin, x, v, force, t)
     if dt != 0.0:
         step_block(block, x, v, force, p.inverse_mass, p.gravity, Step(dt, p.damping), to_x, to_v)
     else:
@@ -127,7 +131,7 @@ def force_block(block: int, p: Packed, dt: float, x: Float, v: Float, to_x: Floa
 
 
 finish_blocks = over_blocks(finish_block, "v, a, inverse_mass, gravity, damping")
-force_blocks = over_blocks(force_block, "p, dt, x, v, to_x, to_v")
+force_blocks = over_blocks(force_block, "p, t, dt, x, v, to_x, to_v")
 
 
 @block_kernel
@@ -137,7 +141,8 @@ def add_forces(x: Float, v: Float, s: float, to_x: Float, to_v: Float, dt: float
     """
     place(p.bodies, p.bodies_on, x, v, s)
     look_at(p.bodies, p.bodies_on, x, v)
-    force_blocks(p, dt, x, v, to_x, to_v, (x.shape[1] + BLOCK - 1) // BLOCK, p.threads)
+    t = p.time[0] + s * p.time[1]
+    force_blocks(p, t, dt, x, v, to_x, to_v, (x.shape[1] + BLOCK - 1) // BLOCK, p.threads)
     add_after(p.bodies, p.bodies_on, x, v, s, to_x, p.threads)
 
 
