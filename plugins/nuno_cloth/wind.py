@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field
 from nuno_cloth.models.placement import Velocity
 from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
 from nuno_kernels import kernel
+from nuno_kernels.forces.vertex import vertex_force
 from nuno_kernels.lanes import (
     WIDTH,
     Triple,
@@ -32,7 +33,7 @@ from nuno_kernels.lanes import (
     write,
 )
 from nuno_kernels.step.blocks import Long, assign_runs, block_count, cut_runs, list_copies
-from nuno_kernels.terms import StepRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config
@@ -93,10 +94,14 @@ class WindLists(NamedTuple):
     tangential: float
 
 
+@vertex_force("particle_wind")
 class ParticleWind(NamedTuple):
-    """A force (3,) [N] on every particle."""
+    """The same force (3,) [N] on every particle."""
 
-    force: Float
+    push: Float
+
+    def force(self) -> tuple[float, float, float]:
+        return self.push[0], self.push[1], self.push[2]
 
 
 Air = tuple[tuple[float, float, float], float, float]
@@ -174,17 +179,8 @@ def add_wind_lists(lists: WindLists, block: int, origin: int, x: Float, v: Float
                 add_at(force, row, corners, 3 + c, p, f[row])
 
 
-@kernel
-def add_particle_wind(wind: ParticleWind, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
-    """Add the same force [N] to every column of force (3, w)."""
-    for axis in range(3):
-        for vertex in range(force.shape[1]):
-            force[axis, vertex] += wind.force[axis]
-
-
-register(WindRuns, name="wind", reads_velocity=lambda wind: True, step=StepRoles(block=add_wind_runs))
-register(WindLists, name="wind", reads_velocity=lambda wind: True, step=StepRoles(block=add_wind_lists))
-register(ParticleWind, name="particle_wind", step=StepRoles(block=add_particle_wind))
+register(WindRuns, "wind", reads_velocity=lambda wind: True, block=add_wind_runs)
+register(WindLists, "wind", reads_velocity=lambda wind: True, block=add_wind_lists)
 
 
 def prepare_wind(

@@ -15,7 +15,7 @@ import numpy as np
 from nuno_geometry.poses import carry, pose_frame, write_interval
 from nuno_kernels import kernel
 from nuno_kernels.step.blocks import Long
-from nuno_kernels.terms import Displaced, FrameRoles, StepRoles, XpbdRoles, register
+from nuno_kernels.terms import Displaced, register
 from nuno_schemas.bodies import Poses, Skin, join_skins
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.system import Carried
@@ -113,10 +113,4 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
         bindings.rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
-register(
-    Bindings,
-    name="bindings",
-    step=StepRoles(place=place_bound),
-    frame=FrameRoles(interval=set_binding_poses),
-    xpbd=XpbdRoles(carry=carry_bound),
-)
+register(Bindings, "bindings", place=place_bound, interval=set_binding_poses, carry=carry_bound)

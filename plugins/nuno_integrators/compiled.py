@@ -140,9 +140,8 @@ class Compiled(ABC):
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        timed = reads_time(packed) or any(term.in_python for term in system.terms)
         arrays, bounds = _state_arrays(work)
-        return Memory(arrays, work, bounds, self.about(system), making_lists(packed), not timed)
+        return Memory(arrays, work, bounds, self.about(system), making_lists(packed), not reads_time(system))
 
     @abstractmethod
     def make_work(self, config: Any, system: System, packed: Packed) -> Work:
@@ -152,9 +151,9 @@ class Compiled(ABC):
     def go(self, work: Any, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         """Advance work.x and work.v from the start of an interval of steps * dt [s] to its end."""
 
-    @abstractmethod
     def compile(self, work: Any, packed: Packed, extra: Extra) -> None:
         """Compile what `go` needs and change nothing, so that compilation does not count as the run's time."""
+        self.go(work, packed, extra, 0, 1.0)
 
     @abstractmethod
     def step_at_rest(self, work: Any, extra: Extra) -> Any:
@@ -180,7 +179,7 @@ class Compiled(ABC):
         work, extra = _enter(system, state, memory, state.t + steps * dt)
         work.packed = self.damped(work.packed, float(system.damping))
         packed = _set_poses(work.packed, poses)
-        call_each(packed, "frame.begin", work.x, steps * dt, packed.threads)
+        call_each(packed, "begin", work.x, steps * dt, packed.threads)
         if steps == 0:
             self.compile(work, packed, extra)
         started = time.perf_counter()
@@ -212,7 +211,7 @@ class Compiled(ABC):
 
             def go(taken: int, more: int) -> None:
                 extra = begin_interval(packed, system, before.t + taken * dt, before.t + (taken + more) * dt)
-                call_each(packed, "frame.begin", work.x, more * dt, packed.threads)
+                call_each(packed, "begin", work.x, more * dt, packed.threads)
                 self.go(work, packed, extra, more, dt)
 
             first, step = find_first(before, work.x, work.v, go, steps)
@@ -229,7 +228,7 @@ class Compiled(ABC):
     def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
         """Return pieces (k,) and places (k, 3) [m] of stuck vertices of each term; also within a step."""
         work: Work = memory.work  # type: ignore[assignment]
-        return call_each(work.packed, "report.pinched")
+        return call_each(work.packed, "pinched")
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Inspected."""
@@ -238,7 +237,7 @@ class Compiled(ABC):
         force = np.empty_like(work.x)
         evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
         force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
-        call_each(packed, "report.unbalance", work.x, force)
+        call_each(packed, "unbalance", work.x, force)
         return unbalance(system.fabric, state.x, state.v, force.T)
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
@@ -262,7 +261,7 @@ class Compiled(ABC):
 
     def _begin_at(self, packed: Packed, work: Any, poses: Poses) -> None:
         """Make the lists of contact, which has none after a change, or from a checkpoint, before its next step."""
-        call_each(_set_poses(packed, (poses, poses)), "frame.begin", work.x, 0.0, packed.threads)
+        call_each(_set_poses(packed, (poses, poses)), "begin", work.x, 0.0, packed.threads)
 
     def free_forces(self, system: System, work: Any, packed: Packed, extra: Extra) -> Float | None:
         """Return the forces (n, 3) [N] of steps without sliding; None where they are those of the laws."""
@@ -309,7 +308,7 @@ def lacking(terms: Sequence[Term], role: str) -> list[str]:
             term.name
             for term in terms
             if callable(term.data)
-            or any(part.step.block is not None and part.find(role) is None for part in map(kernels_of, term.data))
+            or any("block" in part and part.find(role) is None for part in map(kernels_of, term.data))
         }
     )
 
@@ -330,7 +329,7 @@ def _set_poses(packed: Packed, poses: tuple[Poses, Poses] | None) -> Packed:
     """Write the interval into contact and bindings; without poses there are no bodies."""
     if poses is None:
         return silence_bodies(packed)
-    call_each(packed, "frame.interval", *poses)
+    call_each(packed, "interval", *poses)
     return packed
 
 
@@ -355,7 +354,7 @@ def _report(system: System, work: Work, packed: Packed, taken: StepResult, failu
         work.x, work.v, system.fabric.mass, packed._replace(gravity=np.asarray(system.gravity, np.float64))
     )
     counts = {"zero_length_springs": int(energy.zero_length)}
-    for term_counts in call_each(packed, "report.counts"):
+    for term_counts in call_each(packed, "counts"):
         counts |= {name: counts.get(name, 0) + number for name, number in term_counts.items()}
     status: Literal["ok", "diverged", "unconverged"] = (
         "diverged" if failure else "unconverged" if taken.problem else "ok"

@@ -12,7 +12,7 @@ import numpy as np
 from nuno_integrators.packing import copy_terms, making_lists, parts, silence
 from nuno_kernels.forces.yarn_tension import lengths, link_tensions, own_tensions
 from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
-from nuno_kernels.terms import kernels_of, role_of
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Membrane, State
 from nuno_schemas.system import Forces, System, Touched
@@ -23,7 +23,7 @@ from nuno_schemas.system import Forces, System, Touched
 def undisturbed(packed: Packed) -> Packed:
     """Return a copy of the system without the adjustments that a solver's step makes to its terms: see Contact.rate."""
     packed = copy_terms(packed)
-    call_each(packed, "frame.approach", np.inf)
+    call_each(packed, "approach", np.inf)
     return packed
 
 
@@ -50,7 +50,7 @@ def find_forces(
     for part in names:
         velocity = v if part in unkicked else felt
         alone = silence(bare, *(name for name in names if name != part))
-        kinds[part] = sum(call_each(alone, "report.pushed"), start=force(alone, velocity))
+        kinds[part] = sum(call_each(alone, "pushed"), start=force(alone, velocity))
     if extra is not None:
         kinds["python"] = force(silence(bare, *names), felt, extra)
     total = np.sum(list(kinds.values()), axis=0)
@@ -71,15 +71,15 @@ def find_touched(
     bare, mass = _bare(packed), system.fabric.mass[:, None]
     total = _force(bare, x, v, 1.0, extra)
     total += mass * np.asarray(system.gravity, np.float64) - system.damping * mass * v.T
-    total = sum(call_each(bare, "report.pushed"), start=total)
+    total = sum(call_each(bare, "pushed"), start=total)
     total = total if free is None else np.where(system.fabric.pinned[:, None], total, free)
     by: dict[str, Float] = {}
     for term, names in _with_bodies(system, packed):
         for number, name in enumerate(names):
-            alone = role_of(type(term), "report.alone")(term, number)
-            if kernels_of(term).report.unbalance is None:
+            alone = kernels_of(term).find("alone")(term, number)
+            if "unbalance" not in kernels_of(term):
                 only = _only(bare, term, alone)
-                by[name] = sum(call_each(only, "report.pushed"), start=_force(only, x, v, 1.0, None))
+                by[name] = sum(call_each(only, "pushed"), start=_force(only, x, v, 1.0, None))
             else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
                 by[name], total = left - total, left
@@ -94,7 +94,7 @@ def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, .
         for kind in () if callable(term.data) or not term.bodies else map(type, term.data):
             key = next(key for key, one in own.items() if type(one) is kind)  # terms of a type keep their order
             found.append((own.pop(key), term.bodies))
-    return sorted(found, key=lambda one: kernels_of(one[0]).report.unbalance is not None)
+    return sorted(found, key=lambda one: "unbalance" in kernels_of(one[0]))
 
 
 def _only(bare: Packed, term: Any, alone: Any) -> Packed:
@@ -119,14 +119,14 @@ def _force(packed: Packed, x: Float, v: Float, s: float, python: Extra) -> Float
 def _held(x: Float, total: Float, packed: Packed, poses: Poses) -> Float:
     """Return what surfaces and friction leave of forces (n, 3), as at rest; `total` itself without sliding."""
     acting = [term for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
-    holding = [term for term in acting if kernels_of(term).report.unbalance is not None]
+    holding = [term for term in acting if "unbalance" in kernels_of(term)]
     if not holding:
         return total
     held = np.array(total.T, order="C")
     for term in holding:
-        role_of(type(term), "frame.interval")(term, poses, poses)
-        role_of(type(term), "frame.begin")(term, x, 0.0, packed.threads)
-        role_of(type(term), "report.unbalance")(term, x, held)
+        kernels_of(term).find("interval")(term, poses, poses)
+        kernels_of(term).find("begin")(term, x, 0.0, packed.threads)
+        kernels_of(term).find("unbalance")(term, x, held)
     return np.ascontiguousarray(held.T)
 
 
@@ -216,7 +216,7 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     place, speed = x.copy(), v.copy()
 
     def run(variant: Packed, force: Extra, steps: int) -> float:
-        call_each(variant, "frame.begin", place, steps * BRIEF, variant.threads)
+        call_each(variant, "begin", place, steps * BRIEF, variant.threads)
         began = time.perf_counter()
         loop(place, speed, stages, steps, BRIEF, variant, force)
         return (time.perf_counter() - began) / steps

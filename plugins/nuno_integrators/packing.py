@@ -13,7 +13,7 @@ from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
 from nuno_kernels.forces.springs import pack_springs
 from nuno_kernels.step.acceleration import Extra, Packed
-from nuno_kernels.terms import Kernels, kernels_of, role_of
+from nuno_kernels.terms import Kernels, kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
@@ -58,11 +58,11 @@ def pack(system: System, copy: bool = True) -> Packed:
     )
     friction = pack_friction(fabric.friction, n)
     forces += (*pack_bending(fabric.bending, n), *friction, *_pack_yarns(fabric))
-    forces += tuple(part for part in packed_terms if kernels_of(part).step.block is not None)
+    forces += tuple(part for part in packed_terms if "block" in kernels_of(part))
     bodies = (*_pack_carried(system), *friction, *(part for part in packed_terms if _has_steps(kernels_of(part))))
     threads = thread_count(system)
-    python = any(term.in_python for term in system.terms)
-    adds = any(kernels_of(part).step.after is not None for part in bodies)
+    python = any(callable(term.data) for term in system.terms)
+    adds = any("after" in kernels_of(part) for part in bodies)
     moved = any(_disturbs(kernels_of(part)) for part in bodies)
     packed = Packed(
         inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
@@ -94,7 +94,7 @@ def hold_over(packed: Packed) -> Packed:
     """Return the system, whose softest forces are held over several steps."""
     terms = {id(term): term for term in (*packed.forces, *packed.bodies)}
     for key, term in terms.items():
-        hold = role_of(type(term), "frame.hold_over")
+        hold = kernels_of(term).find("hold_over")
         terms[key] = term if hold is None else hold(term, packed.inverse_mass)
     forces, bodies = (tuple(terms[id(term)] for term in part) for part in (packed.forces, packed.bodies))
     return packed._replace(forces=forces, bodies=bodies)
@@ -108,7 +108,7 @@ def making_lists(packed: Packed) -> tuple[str, ...]:
 
 def parts(packed: Packed) -> tuple[str, ...]:
     """Return the names of the parts of a step's forces."""
-    felt = [term for term in packed.bodies if kernels_of(term).step.after is not None]
+    felt = [term for term in packed.bodies if "after" in kernels_of(term)]
     return tuple(dict.fromkeys(kernels_of(term).name for term in (*packed.forces, *felt)))
 
 
@@ -130,9 +130,7 @@ def silence_bodies(packed: Packed) -> Packed:
     """Return the system, of the same types, in which no body carries, meets or holds vertices. Cloth contact, which
     adds to forces, acts without bodies too: its own stay in place.
     """
-    alone = [
-        kernels_of(term).frame.interval is None or kernels_of(term).step.block is not None for term in packed.bodies
-    ]
+    alone = ["interval" not in kernels_of(term) or "block" in kernels_of(term) for term in packed.bodies]
     return packed._replace(bodies_on=packed.bodies_on & np.array(alone, np.bool_))
 
 
@@ -143,19 +141,19 @@ def reads_velocity(packed: Packed) -> bool:
     return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
 
 
-def reads_time(packed: Packed) -> bool:
-    """Whether any of the compiled forces depends on the time."""
-    return any(kernels_of(term).reads_time for term in packed.forces)
+def reads_time(system: System) -> bool:
+    """Whether any force depends on the time, as one in Python may."""
+    return any(callable(term.data) or any(kernels_of(part).reads_time for part in term.data) for term in system.terms)
 
 
 def _has_steps(kernels: Kernels) -> bool:
     """Whether terms have a part in steps besides a force by blocks."""
-    return kernels.step.block is None or kernels.step.hold is not None
+    return "block" not in kernels or "hold" in kernels
 
 
 def _disturbs(kernels: Kernels) -> bool:
     """Whether such terms change forces after a step: a force that only remembers how far it has slipped does not."""
-    return kernels.step.hold is not None or (kernels.step.settle is not None and kernels.step.block is None)
+    return "hold" in kernels or ("settle" in kernels and "block" not in kernels)
 
 
 def _pack_carried(system: System) -> tuple[Any, ...]:

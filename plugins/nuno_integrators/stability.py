@@ -111,7 +111,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
 
     squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
     uniform = extra is None and not reads_velocity(
-        packed._replace(damping=0.0, moved=any(kernels_of(t).step.hold for t in packed.bodies))
+        packed._replace(damping=0.0, moved=any("hold" in kernels_of(t) for t in packed.bodies))
     )
     rate = packed.damping if uniform else largest_eigenvalue(friction, mass)
     return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
@@ -130,14 +130,14 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
     extra = begin_interval(packed, system, state.t, state.t)
     x, v = to_rows(state.x), to_rows(state.v)
     # A slipping element holds again as soon as it turns.
-    call_each(packed, "frame.stick", x)
+    call_each(packed, "stick", x)
     if extra is None and x.shape[1]:
         x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
         packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))._replace(time=packed.time)
-        call_each(packed, "frame.stick", x)
+        call_each(packed, "stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
     return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
 

@@ -41,8 +41,8 @@ from nuno_schemas.system import StepLimit, System
 
 # The phases of an XPBD step: free displacement, sweeps over constraints and contact, new state.
 
-carry_each = each("xpbd.carry", "moved, s")
-project_each = each("xpbd.project", "moved, s, held, threads")
+carry_each = each("carry", "moved, s")
+project_each = each("project", "moved, s, held, threads")
 
 
 @kernel
@@ -217,10 +217,10 @@ class XPBD(Compiled):
                     remedy="use an explicit or implicit solver, or set mu to 0",
                 )
         others = None
-        if lacking(system.terms, "xpbd.constraints") or unconstrained(system.fabric):
-            solved = (kernels_of(term).name for term in packed.forces if kernels_of(term).xpbd.constraints is not None)
+        if lacking(system.terms, "constraints") or unconstrained(system.fabric):
+            solved = (kernels_of(term).name for term in packed.forces if "constraints" in kernels_of(term))
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
-        held = np.zeros((3, n)) if repeated and any(kernels_of(term).xpbd.project for term in packed.bodies) else None
+        held = np.zeros((3, n)) if repeated and any("project" in kernels_of(term) for term in packed.bodies) else None
         x, v = np.empty((2, 3, n))
         own = Swept(others, pack_constraints(packed, repeated), np.empty((1, n)), held, config.iterations)
         return XPBDWork(packed, x, v, np.empty((4, 3, n)), own, np.zeros(1))
@@ -228,7 +228,7 @@ class XPBD(Compiled):
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Return the limit of the forces without a constraint; `resolved` follows from config.residual."""
         omega, damping = measure_rates(system, state)
-        explicit = tuple(term for term in system.terms if lacking([term], "xpbd.constraints"))
+        explicit = tuple(term for term in system.terms if lacking([term], "constraints"))
         dt = np.inf
         if explicit or unconstrained(system.fabric):
             bare = replace(system.fabric, springs=None, hinges=None, membrane=None)
@@ -240,31 +240,28 @@ class XPBD(Compiled):
 
     def about(self, system: System) -> str:
         """Describe the threads, and which forces have no constraint."""
-        names = sorted([*lacking(system.terms, "xpbd.constraints"), *unconstrained(system.fabric)])
+        names = sorted([*lacking(system.terms, "constraints"), *unconstrained(system.fabric)])
         explicit_names = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
         return super().about(system) + explicit_names
 
     def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
-        call_each(packed, "frame.approach", 1.0 / dt)
+        call_each(packed, "approach", 1.0 / dt)
         work.last[0] = dt if steps else work.last[0]
         source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
         return StepResult(steps, "", {"iterations": steps * work.own.iterations})
 
     def free_forces(self, system: System, work: XPBDWork, packed: Packed, extra: Extra) -> Float | None:
         """Return the forces of a step like the last one, since sweeps end before springs are at their law."""
-        slid = np.array([kernels_of(term).report.unbalance is not None for term in packed.bodies], np.bool_)
+        slid = np.array(["unbalance" in kernels_of(term) for term in packed.bodies], np.bool_)
         dt = float(work.last[0])
         if not slid.any() or not 0.0 < dt < np.inf:
             return None
         x, v = work.x.copy(), work.v.copy()
-        call_each(packed, "frame.approach", 1.0 / dt)
+        call_each(packed, "approach", 1.0 / dt)
         free = packed._replace(bodies_on=packed.bodies_on & ~slid)
         source_of(advance_xpbd, extra)(x, v, work.stages, 1, dt, free, extra, work.own)
-        call_each(packed, "frame.approach", np.inf)
+        call_each(packed, "approach", np.inf)
         return np.asarray(system.fabric.mass[:, None] * (v - work.v).T * (1.0 / dt + packed.damping))
-
-    def compile(self, work: XPBDWork, packed: Packed, extra: Extra) -> None:
-        self.go(work, packed, extra, 0, 1.0)
 
     def step_at_rest(self, work: XPBDWork, extra: Extra) -> Any:
         def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:

@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from inspect import signature
-from operator import attrgetter
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -55,148 +54,73 @@ class Displaced(NamedTuple):
     inverse_step: float
 
 
-@dataclass(frozen=True)
-class VertexRoles:
-    """What a force on each vertex alone is made of: see nuno_kernels.forces.vertex."""
+FORCE = {
+    "block": "(term, block, origin, x, v, force, t) adds newtons to the block's force (3, w), column 0 for `origin`, "
+    "by the time t [s], which one that does not depend on it leaves out",
+    "at_vertex": "(term, x, v, t) -> three newtons on one vertex, with those of x, v and t that it names",
+    "energy_at_vertex": "(term, x) -> joules of one vertex",
+    "settle": "(term, x, v, s, threads) remembers what a whole step has led to",
+    "energy": "(term, x) -> joules, or Measured",
+    "begin": "(term, x, span, threads) is called before an interval's first step; it lasts `span` [s]",
+    "hold_over": "(term, inverse_mass) -> term, the same whose force is held over several steps",
+    "stick": "(term, x) lets nothing slip on a short way from x",
+    "counts": "(term) -> mapping, counts for a step's report",
+}
+"""Roles of forces. x, v (3, n) are positions and velocities, s the fraction of the frame, `threads` None or how many.
+Those up to settle are compiled, and Python calls the others."""
 
-    force: Any = None
-    """force(term, x, v, t) -> three newtons, with those of x, v and t that it names"""
-    energy: Any = None
-    """energy(term, x) -> joules"""
+IMPLICIT = {
+    "rows": "(term) -> tuple, room for the matrix: see nuno_kernels.forces.linear",
+    "elements": "(rows) -> columns, vertices: (p,) columns of the elements' rows, each once, and (corners, p)",
+    "fill": "(term, rows, block, x, before, rate, floor, follow) writes the rows of the term's matrix",
+    "diagonal": "(term, rows, block, origin, out) adds the matrix' diagonal blocks to (6, w)",
+    "multiply": "(term, rows, block, origin, u, out) adds the matrix' product with u (3, n) to out (3, w)",
+    "assemble": "(rows, places, diagonal, values) adds the matrix to a factor, see nuno_kernels.forces.linear; without "
+    "it a matrix stays out of factors: what it couples changes",
+    "stiffest": "(term) -> float, the largest stiffness [N/m]",
+    "tension": "(term, x) -> float, the largest single force [N]",
+    "turning": "(term, before, x, d) -> float, see nuno_kernels.forces.springs.turning",
+    "constraints": "(term, vertices) -> tuple of constraints, see nuno_kernels.forces.constraints",
+    "sweep": "(batches, batch, moved) of batches of constraints: solves one batch, in place in the displacements",
+    "forget": "(batches) of batches of constraints: begins a step without forces",
+}
+"""Roles that implicit solvers ask for besides: a force's matrix, or, in xpbd, constraints in its place. fill, diagonal,
+multiply, sweep and forget are compiled."""
 
-
-@dataclass(frozen=True)
-class StepRoles:
-    """Compiled functions that every method's steps call.
-
-    x, v (3, n) are positions and velocities, s the fraction of the frame, `threads` None or how many.
-    """
-
-    block: Any = None
-    """block(term, block, origin, x, v, force, t) adds newtons to the block's force (3, w), column 0 vertex `origin`, at
-    the time t [s]; one that does not depend on it has no such parameter"""
-    after: Any = None
-    """after(term, x, v, s, a, threads) adds newtons to a (3, n) once all blocks are done"""
-    place: Any = None
-    """place(term, x, v, s) puts vertices where they are carried to, before forces are found"""
-    look: Any = None
-    """look(term, x, v) notes what its blocks need to know of all vertices"""
-    settle: Any = None
-    """settle(term, x, v, s, threads) remembers what a whole step has led to"""
-    hold: Any = None
-    """hold(term, x, v, s, threads) moves vertices after a step"""
-    slow: Any = None
-    """slow(term, x, v, threads) holds velocities off what `hold` found"""
-    credit: Any = None
-    """credit(term, change) counts among its impulses what `hold` has changed velocities by besides, (3, n)"""
-
-
-@dataclass(frozen=True)
-class FrameRoles:
-    """Functions that prepare a term for the steps that follow. Python calls them."""
-
-    interval: Any = None
-    """interval(term, start, end) writes the bodies' poses over a frame into the term"""
-    begin: Any = None
-    """begin(term, x, span, threads) is called before an interval's first step; it lasts `span` [s]"""
-    approach: Any = None
-    """approach(term, rate) sets most of a depth that may be gone through in a second [1/s]"""
-    hold_over: Any = None
-    """hold_over(term, inverse_mass) -> term, the same whose force is held over several steps"""
-    stick: Any = None
-    """stick(term, x) lets nothing slip on a short way from x (3, n)"""
-
-
-@dataclass(frozen=True)
-class MatrixRoles:
-    """The term's matrix in implicit steps (nuno_integrators.implicit.matrix). Compiled, but for `rows`, `elements` and
-    `assemble`, which Python calls.
-    """
-
-    rows: Any = None
-    """rows(term) -> tuple, room for the matrix: see nuno_kernels.forces.linear"""
-    elements: Any = None
-    """elements(rows) -> columns, vertices: (p,) columns of the elements' rows, each once, and (corners, p)"""
-    fill: Any = None
-    """fill(term, rows, block, x, before, rate, floor, follow) writes the rows of the term's matrix"""
-    diagonal: Any = None
-    """diagonal(term, rows, block, origin, out) adds the matrix' diagonal blocks to (6, w)"""
-    multiply: Any = None
-    """multiply(term, rows, block, origin, u, out) adds the matrix' product with u (3, n) to out (3, w)"""
-    assemble: Any = None
-    """assemble(rows, places, diagonal, values) adds the matrix to a factor; see nuno_kernels.forces.linear. One without
-    stays out of factors: what it couples changes"""
-
-
-@dataclass(frozen=True)
-class NewtonRoles:
-    """What Newton's method asks of a term (nuno_integrators.implicit.newton). Python calls them."""
-
-    bound: Any = None
-    """bound(term, x, d, s, threads) -> bool: shortens, in place, a way d (3, n) from x towards fraction s; whether it
-    did"""
-    waits: Any = None
-    """waits(term) -> bool: whether what `bound` moves along has not come to its end"""
-    cut: Any = None
-    """cut(term, held) counts vertices (n,) that a step leaves where `bound` holds them"""
-    foresee: Any = None
-    """foresee(term, x, d, out) -> bool: adds to out (3, n) what forces that begin on a way d (3, n) from x bring to a
-    linear step's right side; whether they are others than before"""
-    grip: Any = None
-    """grip(term) -> Grip: what implicit steps hold on its bodies, see nuno_contact.sliding.grip"""
-    stiffest: Any = None
-    """stiffest(term) -> float, the largest stiffness [N/m]"""
-    tension: Any = None
-    """tension(term, x) -> float, the largest single force [N]"""
-    turning: Any = None
-    """turning(term, before, x, d) -> float, see nuno_kernels.forces.springs.turning"""
-
-
-@dataclass(frozen=True)
-class XpbdRoles:
-    """What xpbd solves for in the place of a force. Compiled, but for `constraints`, which Python calls."""
-
-    constraints: Any = None
-    """constraints(term, vertices) -> tuple of constraints, see nuno_kernels.forces.constraints"""
-    carry: Any = None
-    """carry(term, moved, s) puts displacements of carried vertices into `Displaced`"""
-    project: Any = None
-    """project(term, moved, s, held, threads) solves for what cloth meets, bodies or cloth; see
-    nuno_contact.penalty.projection, nuno_contact.offset.projection"""
-    sweep: Any = None
-    """sweep(batches, batch, moved) of batches of constraints: solves one batch, in place in the displacements"""
-    forget: Any = None
-    """forget(batches) of batches of constraints: begins a step without forces"""
-
-
-@dataclass(frozen=True)
-class ReportRoles:
-    """What reports and views ask of a term between frames. Python calls them."""
-
-    energy: Any = None
-    """energy(term, x) -> float or Measured, energy [J]"""
-    counts: Any = None
-    """counts(term) -> mapping, counts for a step's report"""
-    pinched: Any = None
-    """pinched(term) -> pieces, places: which piece each vertex is of that cannot go on, and where (k, 3) [m]"""
-    alone: Any = None
-    """alone(term, body) -> term, the same in which only one of its bodies acts, by number"""
-    pushed: Any = None
-    """pushed(term) -> (n, 3), mean force of its impulses in the last interval, beside those of its law [N]"""
-    unbalance: Any = None
-    """unbalance(term, x, force) holds forces (3, n) off bodies, in place"""
+CONTACT = {
+    "place": "(term, x, v, s) puts vertices where they are carried to, before forces are found",
+    "look": "(term, x, v) notes what its blocks need to know of all vertices",
+    "after": "(term, x, v, s, a, threads) adds newtons to a (3, n) once all blocks are done",
+    "hold": "(term, x, v, s, threads) moves vertices after a step",
+    "slow": "(term, x, v, threads) holds velocities off what `hold` found",
+    "credit": "(term, change) counts among its impulses what `hold` has changed velocities by besides, (3, n)",
+    "carry": "(term, moved, s) puts displacements of carried vertices into `Displaced`",
+    "project": "(term, moved, s, held, threads) solves for what cloth meets, bodies or cloth; see projection.py",
+    "interval": "(term, start, end) writes the bodies' poses over a frame into the term",
+    "approach": "(term, rate) sets most of a depth that may be gone through in a second [1/s]",
+    "bound": "(term, x, d, s, threads) -> bool: shortens, in place, a way d (3, n) from x towards s; whether it did",
+    "waits": "(term) -> bool: whether what `bound` moves along has not come to its end",
+    "cut": "(term, held) counts vertices (n,) that a step leaves where `bound` holds them",
+    "foresee": "(term, x, d, out) -> bool: adds to out (3, n) what forces that begin on a way d (3, n) from x bring to "
+    "a linear step's right side; whether they are others than before",
+    "grip": "(term) -> Grip: what implicit steps hold on its bodies, see nuno_contact.sliding.grip",
+    "pinched": "(term) -> pieces, places: which piece each vertex is of that cannot go on, and where (k, 3) [m]",
+    "alone": "(term, body) -> term, the same in which only one of its bodies acts, by number",
+    "pushed": "(term) -> (n, 3), mean force of its impulses in the last interval, beside those of its law [N]",
+    "unbalance": "(term, x, force) holds forces (3, n) off bodies, in place",
+}
+"""Roles of contact with bodies and cloth besides, and of what carries vertices. Those up to project are compiled."""
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """The functions of one type of term, by who calls them; a type sets only those that it has.
-
-    A role is named by its part, as "step.block". One may be given as text "module:function", which is loaded when a
-    solver first needs it.
+    """The functions of one type of term by their roles, those of FORCE, IMPLICIT and CONTACT that it has. One may be
+    text "module:function", of a module next to the type's, which is loaded when a solver first needs it.
     """
 
     name: str
     """name in reports; several types of one force share a name"""
+    roles: Mapping[str, Any]
     lags: bool = True
     """whether a method that has no constraint for it may take it as at the step's start"""
     memory: tuple[str, ...] = ()
@@ -209,40 +133,39 @@ class Kernels:
     reads_velocity: Callable[[Any], bool] = lambda term: False
     vertices: Callable[[Any], int] = lambda term: 0
     """number of vertices that a term examines, if bodies' vertices are among them"""
-    vertex: VertexRoles = VertexRoles()
-    step: StepRoles = StepRoles()
-    frame: FrameRoles = FrameRoles()
-    matrix: MatrixRoles = MatrixRoles()
-    newton: NewtonRoles = NewtonRoles()
-    xpbd: XpbdRoles = XpbdRoles()
-    report: ReportRoles = ReportRoles()
+
+    def __contains__(self, role: str) -> bool:
+        """Whether the type has a role."""
+        return role in self.roles
 
     @property
     def reads_time(self) -> bool:
         """Whether its force depends on the time."""
-        force = self.vertex.force or self.step.block
+        force = self.roles.get("at_vertex", self.roles.get("block"))
         return force is not None and "t" in parameters_of(force)
 
     def find(self, role: str) -> Any:
-        """Return the function of a role such as "step.block", None for none."""
-        function = attrgetter(role)(self)
+        """Return the function of a role, None for none."""
+        function = self.roles.get(role)
         return resolve_name(function) if isinstance(function, str) else function
 
     def all(self) -> list[Any]:
         """Return the functions of all roles."""
-        parts = {one.name: getattr(self, one.name) for one in fields(self)}
-        roles = [f"{name}.{one.name}" for name, part in parts.items() if is_dataclass(part) for one in fields(part)]
-        found = [self.bounds, self.reads_velocity, self.vertices, *map(self.find, roles)]
+        found = [self.bounds, self.reads_velocity, self.vertices, *map(self.find, self.roles)]
         return [function for function in found if function is not None]
 
 
-def register(kind: type, **roles: Any) -> None:
-    """Register the kernels of a type of term, a NamedTuple of arrays and numbers, which is passed by reference.
-
-    `roles` are the fields of Kernels.
+def register(kind: type, name: str, **given: Any) -> None:
+    """Register the kernels of a type of term, a NamedTuple of arrays and numbers, which is passed by reference: its
+    roles, and other fields of Kernels.
     """
+    about = {one.name: given.pop(one.name) for one in fields(Kernels) if one.name in given}
+    if unknown := given.keys() - FORCE.keys() - IMPLICIT.keys() - CONTACT.keys():
+        raise TypeError(f"a force has no role {', '.join(unknown)}: nuno_kernels.terms lists those that there are")
     by_reference(kind)
-    kind.kernels = Kernels(**roles)  # type: ignore[attr-defined]
+    beside = kind.__module__.rpartition(".")[0]
+    given |= {role: f"{beside}.{place}" for role, place in given.items() if isinstance(place, str)}
+    kind.kernels = Kernels(name, given, **about)  # type: ignore[attr-defined]
     kind.registered_by = sys._getframe(1).f_globals["__name__"]  # type: ignore[attr-defined]
 
 
@@ -256,12 +179,6 @@ def kernels_of(term: Any) -> Kernels:
             limit="a type that nuno_kernels.terms.register knows, or a function f(x, v, t, out)",
         )
     return kernels
-
-
-def role_of(kind: type, role: str) -> Any:
-    """Return the function of a role of Kernels for terms of a type, None for none."""
-    kernels: Kernels = kind.kernels  # type: ignore[attr-defined]
-    return kernels.find(role)
 
 
 COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a kernel")'
@@ -280,8 +197,8 @@ def define(name: str, parameters: str, body: str, **scope: Any) -> Any:
 
 
 def each(role: str, parameters: str, linear: bool = False) -> Any:
-    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of a role such as
-    "step.block", in order, each with as many of the parameters as it has.
+    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of a role, in
+    order, each with as many of the parameters as it has.
 
     `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
     """
@@ -290,7 +207,7 @@ def each(role: str, parameters: str, linear: bool = False) -> Any:
     def build(terms: Any) -> Any:
         kernels, body = dict[str, Any](), ""
         for k, kind in enumerate(terms.types):
-            kernel = role_of(kind.instance_class, role)
+            kernel = kind.instance_class.kernels.find(role)
             if kernel is not None:
                 given = [f"terms[{k}]", *([f"rows[{k}]"] if linear else []), *parameters.split(", ")]
                 body += f"    if on[{k}]:\n        kernel{k}({', '.join(given[: len(parameters_of(kernel))])})\n"

@@ -38,11 +38,6 @@ class Term:
     bodies: tuple[str, ...] = ()
     """Names of the bodies of a contact, by their numbers in the term."""
 
-    @property
-    def in_python(self) -> bool:
-        """Whether it is a Python function, called at every evaluation."""
-        return callable(self.data)
-
 
 @dataclass(frozen=True)
 class Carried:

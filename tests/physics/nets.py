@@ -60,7 +60,8 @@ def wind_force(wind: Any, x: Float, v: Float) -> Float:
         own = slice(block * BLOCK, min((block + 1) * BLOCK, x.shape[0]))
         force = np.zeros((3, own.stop - own.start + PADDING))
         for part in wind:
-            kernels_of(part).step.block(part, block, own.start, rows, moving, force)
+            add = kernels_of(part).find("block")
+            add(part, block, own.start, rows, moving, force)
         out[:, own] = force[:, :-PADDING]
     return np.ascontiguousarray(out.T)
 

@@ -61,7 +61,7 @@ def force(cloth: Fabric, packed: Packed, x: Float) -> Float:
 def settle(packed: Packed, x: Float) -> None:
     terms = [term for term in packed.bodies if kernels_of(term).name == "bending_friction"]
     assert len(terms) == 1
-    kernels_of(terms[0]).find("step.settle")(terms[0], to_rows(x), to_rows(0.0 * x), 1.0, None)
+    kernels_of(terms[0]).find("settle")(terms[0], to_rows(x), to_rows(0.0 * x), 1.0, None)
 
 
 def loop(cloth: Fabric, path: Float) -> tuple[Float, Packed]:
@@ -125,7 +125,7 @@ def test_its_force_is_a_gradient_without_momentum(kind: str) -> None:
     turning = np.cross(x, found)
     assert np.abs(turning.sum(axis=0)).max() < 1e-10 * np.abs(turning).sum()
     (term,) = (term for term in packed.forces if kernels_of(term).name == "bending_friction")
-    kernels_of(term).find("frame.stick")(term, to_rows(x))
+    kernels_of(term).find("stick")(term, to_rows(x))
     base, way = x + random.normal(0.0, 1e-8, x.shape), random.normal(0.0, 1.0, x.shape)
 
     def energy(at: Float) -> float:

@@ -17,7 +17,7 @@ from nuno_integrators.implicit.plugin import ImplicitEuler
 from nuno_kernels import kernel
 from nuno_kernels.forces.vertex import vertex_force
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import StepRoles, kernels_of, register
+from nuno_kernels.terms import kernels_of, register
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.system import System, Term
 
@@ -65,7 +65,7 @@ def add_pull(pull: Blocks, block: int, origin: int, x: Float, v: Float, force: F
             force[row, c] += pull.stiffness * (pull.centre[row] - x[row, origin + c] - v[row, origin + c])
 
 
-register(Blocks, name="blocks", reads_velocity=lambda pull: True, step=StepRoles(block=add_pull))
+register(Blocks, name="blocks", reads_velocity=lambda pull: True, block=add_pull)
 
 FRAMES, RATE, MASS, STRENGTH = 4, 9.0, 0.5, 3.0
 

@@ -16,9 +16,9 @@ from nuno_cloth.wind import (
     Wind,
     WindConfig,
     WindRuns,
-    add_particle_wind,
     prepare_wind,
 )
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float
 
@@ -173,10 +173,10 @@ def test_particle_wind_is_the_papers_direction() -> None:
     data = ParticleWindForce().prepare(ParticleWindConfig(strength=0.02, beta=beta, gamma=gamma), fabric, 0).data
     (wind,) = data
     force = np.ones((3, fabric.number))
-    add_particle_wind(wind, 0, 0, force, force, force)
+    kernels_of(wind).find("block")(wind, 0, 0, force.copy(), force.copy(), force, 0.0)
     expected = 0.02 * np.array([np.cos(beta) * np.sin(gamma), np.sin(beta) * np.sin(gamma), np.cos(gamma)])
     assert force - 1 == pytest.approx(np.tile(expected[:, None], (1, fabric.number)), abs=1e-15)
-    assert np.linalg.norm(wind.force) == pytest.approx(0.02, rel=1e-14)
+    assert np.linalg.norm(wind.push) == pytest.approx(0.02, rel=1e-14)
 
 
 def test_wind_without_triangles_is_refused() -> None:

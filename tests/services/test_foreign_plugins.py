@@ -320,7 +320,7 @@ def test_a_step_that_does_not_end_is_told_with_its_frame(
 
 GIVEN = """\
 from dataclasses import replace
-from nuno_kernels.terms import ReportRoles, register
+from nuno_kernels.terms import register
 from typing import Annotated, NamedTuple
 from nuno_schemas.bodies import *
 from nuno_schemas.dye import *
@@ -333,7 +333,7 @@ class Typed(NamedTuple):
     k: float = 1.0
     of: Annotated[Int, "n"] | None = None
     also: Annotated[Float, "m"] = np.zeros(2)
-register(Typed, name="typed", report=ReportRoles(counts=lambda term: {{}}))
+register(Typed, name="typed", counts=lambda term: {{}})
 class Unknown(NamedTuple):
     k: float
 class Idle(NamedTuple):

@@ -121,7 +121,7 @@ from typing import Annotated, NamedTuple
 
 from nuno_kernels import kernel
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import StepRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Int
 
 
@@ -137,7 +137,7 @@ def add_stitches(loose, block, origin, x, v, force):
             force[row, c] += loose.stiffness * (x[row, loose.partner[origin + c]] - x[row, origin + c])
 
 
-register(Loose, name="loose", step=StepRoles(block=add_stitches))
+register(Loose, name="loose", block=add_stitches)
 
 
 class LooseStitches(Stitches):

@@ -115,7 +115,7 @@ from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
-from nuno_kernels.terms import ReportRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
 from nuno_schemas.plugin import Config, Force, Integrator
@@ -166,7 +166,7 @@ def energy_of(pull: Pull, x: Array) -> float:
     return float(0.5 * pull.stiffness * ((x - pull.centre.reshape(3, 1)) ** 2).sum())
 
 
-register(Pull, name="pull", report=ReportRoles(energy=energy_of))
+register(Pull, name="pull", energy=energy_of)
 
 
 class PullConfig(Config):
@@ -193,7 +193,6 @@ def advance(x: Array, v: Array, stages: Array, steps: int, dt: float, p: Packed,
 class Mine(Explicit):
     name: ClassVar[str] = "mine"
     order: ClassVar[int] = 1
-    buffers: ClassVar[int] = 2
     loop: ClassVar[Any] = advance
 
 

@@ -156,7 +156,7 @@ def own_answers(pile: Pile) -> Mapping[str, Question]:
     term = next(term for term in simulation.system.terms if term.name == "cloth_contact")
     assert isinstance(term.data, tuple)
     (meeting,) = term.data
-    begin, hold = (type(meeting).kernels.find(role) for role in ("frame.begin", "step.hold"))
+    begin, hold = (type(meeting).kernels.find(role) for role in ("begin", "hold"))
     mesh = mesh_of(pile.faces)
 
     def pairs(before: Float, after: Float) -> int:

@@ -172,7 +172,7 @@ def queries(repeats: int) -> list[Result]:
 
 def listing(meeting: Any) -> Callable[[], None]:
     """Begins contact anew, which makes its list and finds what touches."""
-    begin = type(meeting).kernels.find("frame.begin")
+    begin = type(meeting).kernels.find("begin")
 
     def ask() -> None:
         meeting.plan.reference[:] = np.nan

@@ -64,7 +64,7 @@ from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.lanes import dot
 from nuno_kernels.step.blocks import all_finite, copy_rows, same_rows
-from nuno_kernels.terms import FrameRoles, MatrixRoles, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.bodies import MESH, SKIN, Geometry, Poses
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -365,39 +365,22 @@ def act_alone(m: ContactState, body: int) -> ContactState:
 
 
 register(
-    ContactState,
-    name="cloth_contact",
+    ContactState, "cloth_contact", lists=True,
     memory=(
-        "anchor",
-        "anchored",
-        "plan.reference",
-        "plan.motion",
-        "plan.spread",
-        "plan.unrest",
-        "last",
-        "push",
-        "clock",
+        "anchor", "anchored", "plan.reference", "plan.motion", "plan.spread", "plan.unrest", "last", "push", "clock",
         "so_far",
     ),
     bounds=lambda term: {
-        "plan.reference": Bounds(finite=False),
-        "plan.spread": Bounds(0.0),
-        "plan.unrest": Bounds(0.0),
-        "clock": Bounds(-2.0 * LONGEST, 2.0 * LONGEST),
-        "so_far": Bounds(0),
+        "plan.reference": Bounds(finite=False), "plan.spread": Bounds(0.0), "plan.unrest": Bounds(0.0),
+        "clock": Bounds(-2.0 * LONGEST, 2.0 * LONGEST), "so_far": Bounds(0),
     },
-    lists=True,
-    reads_velocity=lambda term: True,
-    vertices=lambda term: int(term.surface.mass.shape[0]),
-    step=StepRoles(place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step, credit=credit_change),
-    frame=FrameRoles(interval=set_solid_poses, begin=begin_interval, approach=take_step),
-    matrix=MatrixRoles(rows=make_contact_matrix, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs),
-    newton=NewtonRoles(bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee),
-    xpbd=XpbdRoles(constraints=make_no_batches, project=project),
-    report=ReportRoles(
-        energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone, pushed=read_push
-    ),
-)
+    reads_velocity=lambda term: True, vertices=lambda term: int(term.surface.mass.shape[0]),
+    place=place_solids, look=is_fresh, block=add_pairs, hold=limit_step, credit=credit_change,
+    interval=set_solid_poses, begin=begin_interval, approach=take_step,
+    rows=make_contact_matrix, fill=fill_pairs, diagonal=add_diagonal, multiply=multiply_pairs,
+    bound=restrain, waits=is_waiting, cut=count_cut, foresee=foresee, constraints=make_no_batches, project=project,
+    energy=measure_pairs, counts=count_contacts, pinched=find_pinched, alone=act_alone, pushed=read_push,
+)  # fmt: skip
 
 
 class Offset:

@@ -61,7 +61,7 @@ from nuno_contact.penalty.distance import (  # fmt: skip
 )
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.terms import FrameRoles, ReportRoles, StepRoles, XpbdRoles, over_blocks, register
+from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
@@ -465,15 +465,11 @@ def act_alone(contact: Contact, body: int) -> Contact:
 
 
 register(
-    Contact,
-    name="contact",
-    memory=("anchor", "anchor_frame"),
+    Contact, "contact", memory=("anchor", "anchor_frame"),
     bounds=lambda term: {"anchor_frame": Bounds(-1, len(term.origin0) - 1)},
-    step=StepRoles(after=add_contact, settle=commit_contact),
-    frame=FrameRoles(interval=set_poses, approach=limit_approach),
-    xpbd=XpbdRoles(project="nuno_contact.penalty.projection:project"),
-    report=ReportRoles(alone=act_alone, counts=count_contacts),
-)
+    after=add_contact, settle=commit_contact, interval=set_poses, approach=limit_approach,
+    project="projection:project", alone=act_alone, counts=count_contacts,
+)  # fmt: skip
 
 
 def make_contact(

@@ -28,7 +28,7 @@ from nuno_geometry.closest_point import closest
 from nuno_geometry.poses import pose_frame, to_frame, turn_out, write_interval
 from nuno_geometry.tree import Tree, make_room
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.terms import FrameRoles, NewtonRoles, ReportRoles, StepRoles, over_blocks, register
+from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.fabric import Float, Int
 
 BLOCK = 64
@@ -204,10 +204,6 @@ def count_slides(slides: Slides) -> dict[str, int]:
 
 
 register(
-    Slides,
-    name="slides",
-    step=StepRoles(hold=hold_slides, slow=slow_slides),
-    frame=FrameRoles(begin=find_room, interval=write_interval),
-    newton=NewtonRoles(grip="nuno_contact.sliding.grip:Grip"),
-    report=ReportRoles(alone=act_alone, unbalance="nuno_contact.sliding.grip:hold_forces", counts=count_slides),
-)
+    Slides, "slides", hold=hold_slides, slow=slow_slides, begin=find_room, interval=write_interval, grip="grip:Grip",
+    alone=act_alone, unbalance="grip:hold_forces", counts=count_slides,
+)  # fmt: skip

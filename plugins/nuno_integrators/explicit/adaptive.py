@@ -324,7 +324,7 @@ class Adaptive(Compiled):
         x, v, y, u = np.empty((4, 3, n))
         buffers = Buffers(x, v, y, u, np.zeros((3 * len(table.rows), n)))
         control = np.array([0.0, 0.0, np.inf, 1e-4])
-        known_ahead = not packed.bodies and not reads_time(packed) and not any(term.in_python for term in system.terms)
+        known_ahead = not packed.bodies and not reads_time(system)
         free = max(1, int((~fabric.pinned).sum()))
         allowed = config.tolerance * size * np.sqrt(free)
         # From the fabric, not from the state of a run that goes on: it must choose the same steps again.

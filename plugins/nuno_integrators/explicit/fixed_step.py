@@ -4,7 +4,6 @@ leapfrog.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, ClassVar
 
@@ -17,24 +16,13 @@ from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
 from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, hold, settle, slow
 from nuno_kernels.step.blocks import copy_rows
-from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
-SPARE = 4
-"""Unused buffers behind a loop's own. Compiled code does not check bounds: a loop that uses more buffers than it
-declares would write into foreign memory."""
-
-
-@dataclass
-class GuardedWork(Work):
-    """`spare` (SPARE, 3, n) lies behind `stages`, and is NaN at the first vertex as long as no loop has written there.
-
-    The first vertex alone: a buffer is written whole, and the memory of the others is never touched.
-    """
-
-    spare: Float
+ROOM = 16
+"""Arrays (3, n) in `stages`; those that a loop leaves alone take no memory. Compiled code does not check for an index
+beyond them: running the loop's source does, which is done before, for its stable step."""
 
 
 class NoConfig(Config):
@@ -42,41 +30,28 @@ class NoConfig(Config):
 
 
 class Explicit(Compiled):
-    """An integrator whose `loop(x, v, stages, steps, dt, packed, extra)` is compiled.
-
-    buffers  arrays (3, n) of float64 that the loop has in `stages`, from number 0 to buffers - 1
-    """
+    """An integrator by a compiled `loop(x, v, stages, steps, dt, packed, extra)`; `stages` (room, 3, n) is its own."""
 
     Config: ClassVar[type[BaseModel]] = NoConfig
     explicit: ClassVar[bool] = True
-    buffers: ClassVar[int]
     loop: ClassVar[Any]
 
-    def make_work(self, config: BaseModel, system: System, packed: Packed) -> GuardedWork:
+    def make_work(self, config: BaseModel, system: System, packed: Packed) -> Work:
         n = system.fabric.number
-        room = np.empty((self.buffers + SPARE, 3, n))
-        stages, spare = room[: self.buffers], room[self.buffers :]
-        spare[:, :, :1] = np.nan
-        return GuardedWork(packed, np.empty((3, n)), np.empty((3, n)), stages, spare)
+        return Work(packed, np.empty((3, n)), np.empty((3, n)), np.empty((self.room, 3, n)))
+
+    @property
+    def room(self) -> int:
+        """Number of arrays (3, n) in `stages`."""
+        return ROOM
 
     def loop_of(self, packed: Packed, extra: Extra) -> Any:
         """Return the loop for a system."""
         return source_of(type(self).loop, extra)
 
-    def go(self, work: GuardedWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
-        """Raise RunFailed if the loop has written behind its buffers."""
+    def go(self, work: Work, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
         self.loop_of(packed, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
-        written = np.flatnonzero(~np.isnan(work.spare[:, :, :1]).all(axis=(1, 2)))
-        if written.size:
-            last = self.buffers + int(written[-1])
-            raise RunFailed(
-                f"the solver {self.name!r} writes into stages[{last}], and its buffers = {self.buffers} end at "
-                f"stages[{self.buffers - 1}]: give its class buffers = {last + 1}"
-            )
         return StepResult(steps)
-
-    def compile(self, work: GuardedWork, packed: Packed, extra: Extra) -> None:
-        self.go(work, packed, extra, 0, 0.0)
 
     def step_at_rest(self, work: Work, extra: Extra) -> Any:
         return self.loop_of(work.packed, extra)
@@ -100,7 +75,7 @@ class Explicit(Compiled):
             a -= w * w * x + d * v
 
         packed = Packed(np.ones(w.size), np.zeros(3), 0.0, late=True)
-        in_numpy(type(self).loop)(x, v, np.empty((self.buffers + SPARE, 3, w.size)), 1, 1.0, packed, pull)
+        in_numpy(type(self).loop)(x, v, np.empty((ROOM, 3, w.size)), 1, 1.0, packed, pull)
         return np.array([[x[0], x[1] * h], [v[0] / h, v[1]]]).reshape(2, 2, *shape)
 
 
@@ -139,7 +114,7 @@ PLAIN |= {id(function): lambda *arguments: None for function in (commit, hold, s
 
 @kernel
 def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """Take `steps` steps of x, v (3, n); stages (1, 3, n)."""
+    """Take `steps` steps of x, v (3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
@@ -154,7 +129,6 @@ class Euler(Explicit):
 
     name: ClassVar[str] = "euler"
     order: ClassVar[int] = 1
-    buffers: ClassVar[int] = 1
     loop: ClassVar[Any] = advance_euler
 
 
@@ -163,7 +137,7 @@ class Euler(Explicit):
 
 @kernel
 def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """Take `steps` steps of x, v (3, n); stages (2, 3, n)."""
+    """Take `steps` steps of x, v (3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
@@ -195,7 +169,6 @@ class SymplecticEuler(Explicit):
 
     name: ClassVar[str] = "symplectic_euler"
     order: ClassVar[int] = 1
-    buffers: ClassVar[int] = 2
     loop: ClassVar[Any] = advance_symplectic_euler
 
     def loop_of(self, packed: Packed, extra: Extra) -> Any:
@@ -211,7 +184,7 @@ class SymplecticEuler(Explicit):
 
 @kernel
 def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
-    """Take `steps` steps of x, v (3, n); stages (3, 3, n).
+    """Take `steps` steps of x, v (3, n).
 
     Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.
 
@@ -242,5 +215,4 @@ class Leapfrog(Explicit):
 
     name: ClassVar[str] = "leapfrog"
     order: ClassVar[int] = 2
-    buffers: ClassVar[int] = 3
     loop: ClassVar[Any] = advance_leapfrog

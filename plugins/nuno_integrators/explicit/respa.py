@@ -279,11 +279,11 @@ class Respa(Compiled):
 
 def has_sliding(terms: Sequence[Term]) -> bool:
     """Whether vertices slide on bodies."""
-    return any(kernels_of(part).step.slow is not None for term in terms for part in _parts(term))
+    return any("slow" in kernels_of(part) for term in terms for part in _parts(term))
 
 
 def _slides(packed: Packed) -> bool:
-    return any(kernels_of(term).step.slow is not None for term in packed.bodies)
+    return any("slow" in kernels_of(term) for term in packed.bodies)
 
 
 def at_start(system: System) -> State:

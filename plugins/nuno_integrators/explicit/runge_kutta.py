@@ -177,8 +177,8 @@ class RungeKutta(Explicit):
     tableau: ClassVar[Tableau]
 
     @property
-    def buffers(self) -> int:  # type: ignore[override]
-        """Number of arrays (3, n): a stage, and all slopes."""
+    def room(self) -> int:
+        """Number of arrays (3, n) in `stages`: a stage, and all slopes."""
         return self.tableau.stages + 2
 
     def loop_of(self, packed: Packed, extra: Extra) -> Any:

@@ -18,7 +18,7 @@ from nuno_kernels.step.blocks import BLOCK, PADDING
 from nuno_kernels.terms import each, over_blocks
 from nuno_schemas.fabric import Float
 
-multiply_forces = each("matrix.multiply", "block, origin, u, out", linear=True)
+multiply_forces = each("multiply", "block, origin, u, out", linear=True)
 
 
 @block_kernel

@@ -19,7 +19,7 @@ from nuno_integrators.implicit.plan import TILE, Elements, Fronts, Plan
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes import WIDTH, fused, load, splat, store
 from nuno_kernels.step.blocks import copy_rows
-from nuno_kernels.terms import role_of
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
 PANEL = 24
@@ -54,7 +54,7 @@ def compile_factor(a: Linear) -> None:
     none = np.zeros(0, np.int64)
     empty = Elements(none, *np.zeros((3, 1, 0), np.int64))
     elements = tuple(
-        None if rows is None or role_of(type(term), "matrix.assemble") is None else empty
+        None if rows is None or kernels_of(term).find("assemble") is None else empty
         for term, rows in zip(a.forces, a.rows, strict=True)
     )
     factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, elements), a.own.shape[1])
@@ -238,7 +238,7 @@ def factorise(factor: Factor, a: Linear) -> bool:
     factor.diagonal[...] = a.own
     for term, rows, places in zip(a.forces, a.rows, plan.elements, strict=True):
         if places is not None:
-            role_of(type(term), "matrix.assemble")(rows, places, factor.diagonal, factor.values)
+            kernels_of(term).find("assemble")(rows, places, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)
     return bool(factorise_fronts(plan.fronts, factor.values, factor.scratch))
 

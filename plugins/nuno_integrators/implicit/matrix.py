@@ -16,15 +16,15 @@ from nuno_kernels import block_kernel, kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
-from nuno_kernels.terms import each, over_blocks, role_of
+from nuno_kernels.terms import each, kernels_of, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 LOWEST = 1e300
 """less than any stiffness of a spring"""
 
 
-fill_rows = each("matrix.fill", "block, x, before, rate, floor, follow", linear=True)
-sum_diagonal = each("matrix.diagonal", "block, origin, out", linear=True)
+fill_rows = each("fill", "block, x, before, rate, floor, follow", linear=True)
+sum_diagonal = each("diagonal", "block, origin, out", linear=True)
 
 
 @by_reference
@@ -55,7 +55,7 @@ class Linear(NamedTuple):
 def make_linear(packed: Packed) -> Linear:
     """Allocate the matrix of a packed system and the vectors to solve with it."""
     n = packed.inverse_mass.shape[0]
-    makers = [role_of(type(term), "matrix.rows") for term in packed.forces]
+    makers = [kernels_of(term).find("rows") for term in packed.forces]
     rows = tuple(None if make is None else make(term) for make, term in zip(makers, packed.forces, strict=True))
     on = np.array([part is not None for part in rows], np.bool_)
     own, inverse = np.zeros((2, 6, n))

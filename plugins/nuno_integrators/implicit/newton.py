@@ -149,14 +149,14 @@ class Stage:
         return self.solver.counts
 
 
-def make_stage(packed: Packed, position: Float, size: float, python: bool) -> Stage:
-    """`position` (n, 3) and `size` are the cloth's at rest [m]; `python` says whether a force is written in Python."""
+def make_stage(packed: Packed, position: Float, size: float) -> Stage:
+    """`position` (n, 3) and `size` are the cloth's at rest [m]."""
     w = packed.inverse_mass
     mass = np.divide(1.0, w, out=np.zeros_like(w), where=w > 0.0)
-    matrices = {kernels_of(term).name for term in packed.forces if kernels_of(term).matrix.rows is not None}
-    lumped = python or packed.late is not None or len(matrices) < len(parts(packed))
+    matrices = {kernels_of(term).name for term in packed.forces if "rows" in kernels_of(term)}
+    lumped = packed.late is not None or len(matrices) < len(parts(packed))
     others = silence(packed, *matrices) if lumped else None
-    stiffest = max(call_each(packed, "newton.stiffest"), default=0.0)
+    stiffest = max(call_each(packed, "stiffest"), default=0.0)
     x, v, a, residual, missing = np.zeros((5, 3, w.shape[0]))
     return Stage(packed, mass, size, stiffest, make_solver(packed, position), x, v, a, residual, missing, others)
 
@@ -173,7 +173,7 @@ def let_go(st: Stage, packed: Packed, count: bool) -> None:
     held = (st.mass == 0.0) & (packed.inverse_mass > 0.0)
     if held.any():
         if count:
-            call_each(packed, "newton.cut", held)
+            call_each(packed, "cut", held)
         st.solver.linear.inverse_mass[:] = packed.inverse_mass
         st.mass[held] = 1.0 / packed.inverse_mass[held]
 
@@ -247,7 +247,7 @@ def _solve_stage(
     for turn in range(HELD_BACK * limits.most + 1):
         allowed = limits.residual * largest_force(st, packed) + _rounding(st, g)
         if worst <= allowed:
-            if waited == WAITS or not any(call_each(packed, "newton.waits")):
+            if waited == WAITS or not any(call_each(packed, "waits")):
                 return True, worst
             waited += 1
         spent = turn == HELD_BACK * limits.most or left < 0.5 / HELD_BACK
@@ -258,7 +258,7 @@ def _solve_stage(
             st.v[...] = guess
             return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
         unshortened = st.solver.linear.x.copy()
-        shortened = any(call_each(packed, "newton.bound", st.x, st.solver.linear.x, s, packed.threads))
+        shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s, packed.threads))
         if shortened and st.solver.direct:
             st.solver.direct, st.solver.hindered = False, True
             st.v[...] = guess
@@ -281,7 +281,7 @@ def _solve_stage(
 def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, start: Float) -> None:
     """Shorten the first guess to where cloth does not yet meet."""
     d = st.x - start
-    if any(call_each(packed, "newton.bound", start, d, s, packed.threads)):
+    if any(call_each(packed, "bound", start, d, s, packed.threads)):
         np.add(start, d, out=st.x)
         np.subtract(st.x, xhat, out=st.v)
         st.v /= g
@@ -289,7 +289,7 @@ def _begin_apart(st: Stage, packed: Packed, xhat: Float, g: float, s: float, sta
 
 def limit_approach(packed: Packed, g: float) -> None:
     """Limit the approach that contact's dashpots see to the way within g [s]; see Contact.rate."""
-    call_each(packed, "frame.approach", 1.0 / g)
+    call_each(packed, "approach", 1.0 / g)
 
 
 def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, exact: bool) -> bool:
@@ -299,7 +299,7 @@ def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, e
     done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
     for _ in range(FORESEEN if done and not st.solver.direct else 0):
         pull = st.residual.copy()
-        if not any(call_each(packed, "newton.foresee", st.x, st.solver.linear.x, pull)):
+        if not any(call_each(packed, "foresee", st.x, st.solver.linear.x, pull)):
             break
         solve_again(st.solver, packed, st.x, 1.0 / g, pull)
     for grip in st.grips:
@@ -399,7 +399,7 @@ def largest_force(st: Stage, packed: Packed) -> float:
 
 def largest_tension(x: Float, packed: Packed) -> float:
     """Return the largest force of a spring [N], of either sign."""
-    return float(max(call_each(packed, "newton.tension", x), default=0.0))
+    return float(max(call_each(packed, "tension", x), default=0.0))
 
 
 def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
@@ -408,4 +408,4 @@ def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:
     A spring that turns from a to b is longer than b's share along a, by the square of the angle. A linear step cannot
     predict that, and the next one takes it back.
     """
-    return float(sum(call_each(packed, "newton.turning", before, x, d)))
+    return float(sum(call_each(packed, "turning", before, x, d)))

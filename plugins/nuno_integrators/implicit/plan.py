@@ -10,7 +10,7 @@ import numpy as np
 
 from nuno_integrators.implicit.matrix import Linear
 from nuno_kernels.step.blocks import Long
-from nuno_kernels.terms import role_of
+from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Float
 
 # An order of elimination that keeps a factor of the matrix sparse: nested dissection by coordinates.
@@ -223,7 +223,7 @@ def make_plan(position: Float, linear: Linear) -> Plan:
     number = np.full(position.shape[0], -1, np.int64)
     number[free] = np.arange(free.shape[0])
     found = [
-        None if rows is None or (find := role_of(type(term), "matrix.elements")) is None else find(rows)
+        None if rows is None or (find := kernels_of(term).find("elements")) is None else find(rows)
         for term, rows in zip(linear.forces, linear.rows, strict=True)
     ]
     pairs = [np.empty((0, 2), np.int64), *(_edges(number[item[1]]) for item in found if item is not None)]

@@ -92,10 +92,9 @@ class Implicit(Compiled):
 
     def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
         n = system.fabric.number
-        python = any(term.in_python for term in system.terms)
-        stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric), python)
+        stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric))
         x, v = np.empty((2, 3, n))
-        limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "newton.grip"))
+        limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "grip"))
         return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, limits, grips)
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
@@ -104,7 +103,7 @@ class Implicit(Compiled):
 
     def about(self, system: System) -> str:
         """Describe the threads, and which forces have no matrix of their own in Newton's method."""
-        names = lacking(system.terms, "matrix.rows")
+        names = lacking(system.terms, "rows")
         by_differences = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
         return super().about(system) + by_differences
 

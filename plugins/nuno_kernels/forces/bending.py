@@ -33,7 +33,7 @@ from nuno_kernels.lanes import (
     write,
 )
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.terms import MatrixRoles, ReportRoles, StepRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bending, Float, Int
 
 
@@ -150,15 +150,6 @@ def pack_bending(bending: Bending | None, vertices: int) -> tuple[BendingRows, .
 
 
 register(
-    BendingRows,
-    name="bending",
-    step=StepRoles(block=add_bending),
-    matrix=MatrixRoles(
-        rows=rows_of_bending,
-        elements=elements_of_bending,
-        diagonal=sum_bending,
-        multiply=multiply_bending,
-        assemble=assemble_bending,
-    ),
-    report=ReportRoles(energy=measure_bending),
-)
+    BendingRows, "bending", block=add_bending, rows=rows_of_bending, elements=elements_of_bending,
+    diagonal=sum_bending, multiply=multiply_bending, assemble=assemble_bending, energy=measure_bending,
+)  # fmt: skip

@@ -30,7 +30,7 @@ from nuno_kernels.lanes import (
     write,
 )
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long, list_copies
-from nuno_kernels.terms import FrameRoles, MatrixRoles, ReportRoles, StepRoles, over_blocks, register
+from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.fabric import BendingFriction, Float, Int
 
 # Friction between the yarns of cloth that is bent: why the loop of moment over curvature does not close.
@@ -289,16 +289,10 @@ def pack_friction(friction: BendingFriction | None, vertices: int) -> tuple[Fric
 
 
 register(
-    FrictionLists,
-    name="bending_friction",
-    memory=("rested",),
-    step=StepRoles(block=add_friction, settle=settle_friction),
-    frame=FrameRoles(stick=stick, hold_over="nuno_kernels.forces.bending_friction:hold"),
-    matrix=MatrixRoles(
-        rows=linear_lists(ROWS, "corners"), fill=fill_friction, diagonal=sum_friction, multiply=multiply_friction
-    ),
-    report=ReportRoles(energy=measure_friction),
-)
+    FrictionLists, "bending_friction", memory=("rested",), block=add_friction, settle=settle_friction, stick=stick,
+    hold_over="bending_friction:hold", rows=linear_lists(ROWS, "corners"), fill=fill_friction, diagonal=sum_friction,
+    multiply=multiply_friction, energy=measure_friction,
+)  # fmt: skip
 
 
 # Bending friction that is held over several steps, for methods of many small steps.
@@ -386,10 +380,6 @@ def begin(held: HeldFriction, x: Float, span: float, threads: int | None) -> Non
 
 
 register(
-    HeldFriction,
-    name="bending_friction",
-    memory=("rested", "force", "clock"),
-    step=StepRoles(block=add_held, settle=settle_held),
-    frame=FrameRoles(begin=begin),
-    report=ReportRoles(energy=measure_friction),
-)
+    HeldFriction, "bending_friction", memory=("rested", "force", "clock"), block=add_held, settle=settle_held,
+    begin=begin, energy=measure_friction,
+)  # fmt: skip

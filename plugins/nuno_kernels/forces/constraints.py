@@ -33,7 +33,7 @@ from nuno_kernels.lanes import (
 )
 from nuno_kernels.step.acceleration import Packed, call_each
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.terms import Displaced, XpbdRoles, each, over_blocks, register
+from nuno_kernels.terms import Displaced, each, over_blocks, register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
@@ -194,11 +194,11 @@ def zero_forces(batches: Any) -> None:
     clear(batches.forces)
 
 
-register(RunBatches, name="springs", xpbd=XpbdRoles(sweep=solve_spring_runs, forget=zero_forces))
-register(SpringBatches, name="springs", xpbd=XpbdRoles(sweep=solve_springs, forget=zero_forces))
+register(RunBatches, name="springs", sweep=solve_spring_runs, forget=zero_forces)
+register(SpringBatches, name="springs", sweep=solve_springs, forget=zero_forces)
 
-sweep_each = each("xpbd.sweep", "batch, moved")
-forget = each("xpbd.forget", "")
+sweep_each = each("sweep", "batch, moved")
+forget = each("forget", "")
 
 
 @block_kernel
@@ -313,7 +313,7 @@ def solve_hinges(hinges: HingeBatches, batch: int, moved: Displaced) -> None:
     sweep_hinges(batch, moved, hinges, hinges.forces)
 
 
-register(HingeBatches, name="hinges", xpbd=XpbdRoles(sweep=solve_hinges, forget=zero_forces))
+register(HingeBatches, name="hinges", sweep=solve_hinges, forget=zero_forces)
 
 
 MOST_BATCHES = 4096
@@ -390,7 +390,7 @@ def pack_constraints(packed: Packed, remember: bool) -> Constraints:
     Raises BadInput for springs that have no constraint.
     """
     vertices = packed.inverse_mass.shape[0]
-    found = [part for parts in call_each(packed, "xpbd.constraints", vertices) for part in parts if len(part.corners)]
+    found = [part for parts in call_each(packed, "constraints", vertices) for part in parts if len(part.corners)]
     joined: dict[Any, Any] = {}
     for part in found:
         key = part.kind if isinstance(part, ListElements) else len(joined)

@@ -11,7 +11,7 @@ from nuno_kernels.forces.springs import SpringLists, SpringRuns
 from nuno_kernels.lanes import cross, dot
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import Measured, kernels_of, role_of
+from nuno_kernels.terms import Measured, kernels_of
 from nuno_schemas.fabric import Float
 
 
@@ -153,7 +153,7 @@ def measure_energy(x: Float, v: Float, mass: Float, packed: Packed) -> Energy:
     kinds = {"kinetic": kinetic, "gravitational": gravitational, "springs": 0.0, "hinges": 0.0}
     stretch, shortest, zeros = -1.0, math.inf, 0
     for term in packed.forces:
-        measure, name = role_of(type(term), "report.energy"), kernels_of(term).name
+        measure, name = kernels_of(term).find("energy"), kernels_of(term).name
         if measure is not None:
             found = measure(term, x)
             if isinstance(found, Measured):

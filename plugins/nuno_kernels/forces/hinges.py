@@ -48,7 +48,7 @@ from nuno_kernels.lanes import (
     write,
 )
 from nuno_kernels.step.blocks import Long, assign_runs, block_count, choose_runs, cut_runs, is_small, list_copies
-from nuno_kernels.terms import MatrixRoles, ReportRoles, StepRoles, XpbdRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Hinges, Int
 
 FLAT = 1e-20
@@ -178,20 +178,12 @@ def add_hinge_runs(runs: HingeRuns, block: int, origin: int, x: Float, v: Float,
 
 for _kind, _add, _layout in ((HingeRuns, add_hinge_runs, "runs"), (HingeLists, add_hinge_lists, "lists")):
     register(
-        _kind,
-        name="hinges",
-        step=StepRoles(block=_add),
-        matrix=MatrixRoles(
-            rows=f"nuno_kernels.forces.linear:rows_of_hinge_{_layout}",
-            elements=f"nuno_kernels.forces.linear:elements_of_hinge_{_layout}",
-            fill=f"nuno_kernels.forces.linear:fill_hinge_{_layout}",
-            diagonal=f"nuno_kernels.forces.linear:sum_hinge_{_layout}",
-            multiply=f"nuno_kernels.forces.linear:multiply_hinge_{_layout}",
-            assemble="nuno_kernels.forces.linear:assemble_hinges",
-        ),
-        xpbd=XpbdRoles(constraints=f"nuno_kernels.forces.constraints:constraints_of_hinge_{_layout}"),
-        report=ReportRoles(energy=f"nuno_kernels.forces.energy:measure_hinge_{_layout}"),
-    )
+        _kind, "hinges", block=_add, rows=f"linear:rows_of_hinge_{_layout}",
+        elements=f"linear:elements_of_hinge_{_layout}", fill=f"linear:fill_hinge_{_layout}",
+        diagonal=f"linear:sum_hinge_{_layout}", multiply=f"linear:multiply_hinge_{_layout}",
+        assemble="linear:assemble_hinges", constraints=f"constraints:constraints_of_hinge_{_layout}",
+        energy=f"energy:measure_hinge_{_layout}",
+    )  # fmt: skip
 
 
 def pack_hinges(hinges: Hinges | None, vertices: int) -> tuple[HingeRuns | HingeLists, ...]:

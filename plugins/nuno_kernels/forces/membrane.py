@@ -30,7 +30,7 @@ from nuno_kernels.lanes import (
     where_not_zero,
 )
 from nuno_kernels.step.blocks import BLOCK, Long, is_small, list_copies
-from nuno_kernels.terms import MatrixRoles, Measured, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
+from nuno_kernels.terms import Measured, register
 from nuno_schemas.fabric import Float, Int, Membrane
 
 # Woven cloth in its plane: triangles of constant strain in the cloth's own directions, warp and weft.
@@ -173,26 +173,12 @@ def pack_membrane(membrane: Membrane | None, vertices: int) -> tuple[MembraneLis
 
 
 register(
-    MembraneLists,
-    name="membrane",
-    reads_velocity=damps,
-    step=StepRoles(block=add_membrane),
-    matrix=MatrixRoles(
-        rows="nuno_kernels.forces.membrane:rows_of_membrane",
-        elements="nuno_kernels.forces.membrane:elements_of_membrane",
-        fill="nuno_kernels.forces.membrane:fill_membrane",
-        diagonal="nuno_kernels.forces.membrane:sum_membrane",
-        multiply="nuno_kernels.forces.membrane:multiply_membrane",
-        assemble="nuno_kernels.forces.membrane:assemble_membrane",
-    ),
-    newton=NewtonRoles(
-        tension="nuno_kernels.forces.membrane:tension_of_membrane",
-        turning="nuno_kernels.forces.membrane:turning_of_membrane",
-        stiffest="nuno_kernels.forces.membrane:stiffest",
-    ),
-    xpbd=XpbdRoles(constraints="nuno_kernels.forces.membrane_constraints:constraints_of_membrane"),
-    report=ReportRoles(energy="nuno_kernels.forces.membrane:measure_membrane"),
-)
+    MembraneLists, "membrane", reads_velocity=damps, block=add_membrane, rows="membrane:rows_of_membrane",
+    elements="membrane:elements_of_membrane", fill="membrane:fill_membrane", diagonal="membrane:sum_membrane",
+    multiply="membrane:multiply_membrane", assemble="membrane:assemble_membrane", stiffest="membrane:stiffest",
+    tension="membrane:tension_of_membrane", turning="membrane:turning_of_membrane", energy="membrane:measure_membrane",
+    constraints="membrane_constraints:constraints_of_membrane",
+)  # fmt: skip
 
 
 # The membrane's matrix: each triangle's part as a 6 x 6 matrix on its F_w and F_f.

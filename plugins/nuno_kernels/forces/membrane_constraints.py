@@ -45,7 +45,7 @@ from nuno_kernels.lanes import (
     where_not_zero,
 )
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.terms import Displaced, XpbdRoles, register
+from nuno_kernels.terms import Displaced, register
 from nuno_schemas.fabric import Float, Int
 
 
@@ -170,4 +170,4 @@ def solve_membrane(lists: MembraneBatches, batch: int, moved: Displaced) -> None
     sweep_membrane(batch, moved, lists, lists.forces)
 
 
-register(MembraneBatches, name="membrane", xpbd=XpbdRoles(sweep=solve_membrane, forget=zero_forces))
+register(MembraneBatches, name="membrane", sweep=solve_membrane, forget=zero_forces)

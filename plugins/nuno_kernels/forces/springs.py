@@ -37,7 +37,7 @@ from nuno_kernels.step.blocks import (
     is_small,
     list_copies,
 )
-from nuno_kernels.terms import MatrixRoles, NewtonRoles, ReportRoles, StepRoles, XpbdRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Bool, Float, Int, Springs
 
 # Damped springs: f_i += (k (|d| - L) + c (v_j - v_i).d^) d^ and the reverse on j, d = x_j - x_i.
@@ -245,26 +245,13 @@ def damps(springs: SpringRuns | SpringLists) -> bool:
 
 for _kind, _add, _layout in ((SpringRuns, add_runs, "runs"), (SpringLists, add_lists, "lists")):
     register(
-        _kind,
-        name="springs",
-        reads_velocity=damps,
-        step=StepRoles(block=_add),
-        matrix=MatrixRoles(
-            rows=f"nuno_kernels.forces.linear:rows_of_spring_{_layout}",
-            elements=f"nuno_kernels.forces.linear:elements_of_spring_{_layout}",
-            fill=f"nuno_kernels.forces.linear:fill_spring_{_layout}",
-            diagonal=f"nuno_kernels.forces.linear:sum_spring_{_layout}",
-            multiply=f"nuno_kernels.forces.linear:multiply_spring_{_layout}",
-            assemble="nuno_kernels.forces.linear:assemble_springs",
-        ),
-        newton=NewtonRoles(
-            tension=f"nuno_kernels.forces.springs:tension_of_{_layout}",
-            turning=f"nuno_kernels.forces.springs:turning_of_{_layout}",
-            stiffest="nuno_kernels.forces.springs:stiffest",
-        ),
-        xpbd=XpbdRoles(constraints=f"nuno_kernels.forces.constraints:constraints_of_spring_{_layout}"),
-        report=ReportRoles(energy=f"nuno_kernels.forces.energy:measure_spring_{_layout}"),
-    )
+        _kind, "springs", reads_velocity=damps, block=_add, rows=f"linear:rows_of_spring_{_layout}",
+        elements=f"linear:elements_of_spring_{_layout}", fill=f"linear:fill_spring_{_layout}",
+        diagonal=f"linear:sum_spring_{_layout}", multiply=f"linear:multiply_spring_{_layout}",
+        assemble="linear:assemble_springs", tension=f"springs:tension_of_{_layout}",
+        turning=f"springs:turning_of_{_layout}", stiffest="springs:stiffest",
+        constraints=f"constraints:constraints_of_spring_{_layout}", energy=f"energy:measure_spring_{_layout}",
+    )  # fmt: skip
 
 
 # Springs in the layout of their kernels: runs of consecutive vertices, and lists of the rest.

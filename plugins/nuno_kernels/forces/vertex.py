@@ -12,7 +12,7 @@ import numpy as np
 
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import ReportRoles, StepRoles, VertexRoles, define, overloaded, parameters_of, register, role_of
+from nuno_kernels.terms import define, overloaded, parameters_of, register
 from nuno_schemas.fabric import Float
 
 T = TypeVar("T", bound=type)
@@ -24,14 +24,14 @@ def _own(role: str) -> Any:
     """Return a function f(term, x, v, t) for kernels: the term's own of a role, of which it takes what it names."""
 
     def build(term: Any) -> Any:
-        own = role_of(term.instance_class, role)
+        own = term.instance_class.kernels.find(role)
         taken = ", ".join(["term", *parameters_of(own)[1:]])
         return define("own_of", "term, x, v, t", f"    return own({taken})", own=own)
 
     return overloaded("term, x, v, t", build)
 
 
-force_at, energy_at = _own("vertex.force"), _own("vertex.energy")
+force_at, energy_at = _own("at_vertex"), _own("energy_at_vertex")
 
 
 @block_kernel
@@ -66,15 +66,10 @@ def vertex_force(name: str) -> Callable[[T], T]:
         taken = parameters_of(kind.force)[1:]  # type: ignore[attr-defined]
         if not set(taken) <= set(GIVEN):
             raise TypeError(f"{kind.__name__}.force takes {', '.join(taken)}: there are {', '.join(GIVEN)}")
-        energy = getattr(kind, "energy", None)
-        register(
-            kind,
-            name=name,
-            reads_velocity=lambda term: "v" in taken,
-            vertex=VertexRoles(kernel(kind.force), energy and kernel(energy)),  # type: ignore[attr-defined]
-            step=StepRoles(block=push_vertices),
-            report=ReportRoles(energy=energy and sum_energy),
-        )
+        roles = {"block": push_vertices, "at_vertex": kernel(kind.force)}  # type: ignore[attr-defined]
+        if hasattr(kind, "energy"):
+            roles |= {"energy": sum_energy, "energy_at_vertex": kernel(kind.energy)}
+        register(kind, name, reads_velocity=lambda term: "v" in taken, **roles)
         return kind
 
     return registered

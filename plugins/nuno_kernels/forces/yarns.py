@@ -25,7 +25,7 @@ from nuno_kernels.lanes import (
     where_not_zero,
 )
 from nuno_kernels.step.blocks import BLOCK, Long, is_small, list_copies
-from nuno_kernels.terms import MatrixRoles, NewtonRoles, ReportRoles, StepRoles, register
+from nuno_kernels.terms import register
 from nuno_schemas.fabric import Float, Int, Springs, Yarns
 
 # Tension that passes along a yarn: T'_n = T_n + mu (T_(n-1) + T_(n+1)), T_n = k_n (|d_n| - L_n) + c_n d|d_n|/dt.
@@ -121,22 +121,10 @@ def _pull_by_velocity(yarns: YarnLists) -> bool:
 
 
 register(
-    YarnLists,
-    name="yarns",
-    lags=False,
-    reads_velocity=_pull_by_velocity,
-    step=StepRoles(block=add_yarns),
-    matrix=MatrixRoles(
-        rows="nuno_kernels.forces.yarns:linear_yarns",
-        elements=listed_elements(3),
-        fill="nuno_kernels.forces.yarns:fill_yarns",
-        diagonal="nuno_kernels.forces.yarns:sum_yarns",
-        multiply="nuno_kernels.forces.yarns:multiply_yarns",
-        assemble="nuno_kernels.forces.yarns:assemble_yarns",
-    ),
-    newton=NewtonRoles(turning="nuno_kernels.forces.yarns:turning_of_yarns"),
-    report=ReportRoles(energy=measure_yarns),
-)
+    YarnLists, "yarns", lags=False, reads_velocity=_pull_by_velocity, block=add_yarns, rows="yarns:linear_yarns",
+    elements=listed_elements(3), fill="yarns:fill_yarns", diagonal="yarns:sum_yarns", multiply="yarns:multiply_yarns",
+    assemble="yarns:assemble_yarns", turning="yarns:turning_of_yarns", energy=measure_yarns,
+)  # fmt: skip
 
 
 def pair_corners(pairs: Int, neighbours: Int) -> Int:

@@ -15,17 +15,17 @@ from nuno_kernels import block_kernel, shared_source
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
-from nuno_kernels.terms import each, over_blocks, role_of
+from nuno_kernels.terms import each, kernels_of, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
-add_blocks = each("step.block", "block, origin, x, v, force, t")
-place = each("step.place", "x, v, s")
-look_at = each("step.look", "x, v")
-add_after = each("step.after", "x, v, s, a, threads")
-settle_bodies = each("step.settle", "x, v, s, threads")
-hold_bodies = each("step.hold", "x, v, s, threads")
-slow_bodies = each("step.slow", "x, v, threads")
-credit_bodies = each("step.credit", "change")
+add_blocks = each("block", "block, origin, x, v, force, t")
+place = each("place", "x, v, s")
+look_at = each("look", "x, v")
+add_after = each("after", "x, v, s, a, threads")
+settle_bodies = each("settle", "x, v, s, threads")
+hold_bodies = each("hold", "x, v, s, threads")
+slow_bodies = each("slow", "x, v, threads")
+credit_bodies = each("credit", "change")
 
 
 Extra = Callable[[Float, Float, float, Float], None] | None
@@ -206,5 +206,5 @@ def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
     """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
     terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
     acting = {id(term): term for term, on in terms if on}
-    calls = [(role_of(type(term), role), term) for term in acting.values()]
+    calls = [(kernels_of(term).find(role), term) for term in acting.values()]
     return [call(term, *args) for call, term in calls if call is not None]

@@ -434,7 +434,7 @@ def require_touched(simulation: Simulation) -> None:
         raise loaded.at(field, BadInput(problem, value=loaded.integrator.name, remedy=remedy))
     for term in simulation.system.terms:
         parts = () if callable(term.data) else term.data
-        if term.bodies and not (parts and all(type(part).kernels.find("report.alone") for part in parts)):
+        if term.bodies and not (parts and all(type(part).kernels.find("alone") for part in parts)):
             raise loaded.at(field, BadInput(problem, value=term.name, limit=", ".join(term.bodies), remedy=remedy))
 
 
