@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, ClassVar, Literal
@@ -26,7 +27,6 @@ from nuno_integrators.diagnostics import (
     undisturbed,
 )
 from nuno_integrators.packing import (
-    begin_interval,
     hold_over,
     making_lists,
     pack,
@@ -38,7 +38,8 @@ from nuno_integrators.packing import (
 )
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
+from nuno_kernels.forces.python import raise_error
+from nuno_kernels.step.acceleration import Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
@@ -148,16 +149,16 @@ class Compiled(ABC):
         """Allocate the method's buffers."""
 
     @abstractmethod
-    def go(self, work: Any, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+    def go(self, work: Any, packed: Packed, steps: int, dt: float) -> StepResult:
         """Advance work.x and work.v from the start of an interval of steps * dt [s] to its end."""
 
-    def compile(self, work: Any, packed: Packed, extra: Extra) -> None:
+    def compile(self, work: Any, packed: Packed) -> None:
         """Compile what `go` needs and change nothing, so that compilation does not count as the run's time."""
-        self.go(work, packed, extra, 0, 1.0)
+        self.go(work, packed, 0, 1.0)
 
     @abstractmethod
-    def step_at_rest(self, work: Any, extra: Extra) -> Any:
-        """Return a function (x, v, stages, steps, dt, packed, extra) that costs as much as the steps, for `profile`."""
+    def steps_of(self, work: Any) -> Any:
+        """Return a function (x, v, stages, steps, dt, packed) that costs as much as the steps, for `profile`."""
 
     def adapt(self, packed: Packed) -> Packed:
         """Return the packed system as this method reads it."""
@@ -176,15 +177,15 @@ class Compiled(ABC):
     ) -> StepReport:
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
         began = time.perf_counter()
-        work, extra = _enter(system, state, memory, state.t + steps * dt)
-        work.packed = self.damped(work.packed, float(system.damping))
-        packed = _set_poses(work.packed, poses)
-        call_each(packed, "begin", work.x, steps * dt, packed.threads)
-        if steps == 0:
-            self.compile(work, packed, extra)
-        started = time.perf_counter()
-        result = self.go(work, packed, extra, steps, dt) if steps else StepResult(0)
-        seconds = time.perf_counter() - started
+        with _entered(system, state, memory, state.t + steps * dt) as work:
+            work.packed = self.damped(work.packed, float(system.damping))
+            packed = _set_poses(work.packed, poses)
+            call_each(packed, "begin", work.x, steps * dt, packed.threads)
+            if steps == 0:
+                self.compile(work, packed)
+            started = time.perf_counter()
+            result = self.go(work, packed, steps, dt) if steps else StepResult(0)
+            seconds = time.perf_counter() - started
         if steps and system.leave[0]:
             return StepReport("left", 0)
         if work.tuning is not None:
@@ -210,9 +211,9 @@ class Compiled(ABC):
             packed = _set_poses(work.packed, poses and (poses[0], poses[0]))
 
             def go(taken: int, more: int) -> None:
-                extra = begin_interval(packed, system, before.t + taken * dt, before.t + (taken + more) * dt)
+                packed.time[:] = before.t + taken * dt, more * dt
                 call_each(packed, "begin", work.x, more * dt, packed.threads)
-                self.go(work, packed, extra, more, dt)
+                self.go(work, packed, more, dt)
 
             first, step = find_first(before, work.x, work.v, go, steps)
         return describe_nonfinite(system.fabric, before, nonfinite, first, f"in step {step} of {steps}" if step else "")
@@ -221,9 +222,9 @@ class Compiled(ABC):
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
         """See nuno_schemas.plugin.Inspected."""
-        work, extra = _enter(system, state, memory, state.t)
-        packed = _set_poses(work.packed, poses)
-        return profile_steps(self.step_at_rest(work, extra), packed, work.x, work.v, work.stages, extra)
+        with _entered(system, state, memory, state.t) as work:
+            packed = _set_poses(work.packed, poses)
+            return profile_steps(self.steps_of(work), packed, work.x, work.v, work.stages)
 
     def pinched(self, memory: Memory) -> Sequence[tuple[Int, Float]]:
         """Return pieces (k,) and places (k, 3) [m] of stuck vertices of each term; also within a step."""
@@ -232,42 +233,42 @@ class Compiled(ABC):
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Inspected."""
-        work, extra = _enter(system, state, memory, state.t)
-        packed = _set_poses(work.packed, poses)
-        force = np.empty_like(work.x)
-        evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed, extra)
-        force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
-        call_each(packed, "unbalance", work.x, force)
-        return unbalance(system.fabric, state.x, state.v, force.T)
+        with _entered(system, state, memory, state.t) as work:
+            packed = _set_poses(work.packed, poses)
+            force = np.empty_like(work.x)
+            evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed)
+            force *= np.where(system.fabric.pinned, 0.0, system.fabric.mass)
+            call_each(packed, "unbalance", work.x, force)
+            return unbalance(system.fabric, state.x, state.v, force.T)
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """See nuno_schemas.plugin.Inspected."""
-        work, extra = _enter(system, state, memory, state.t)
-        packed = undisturbed(work.packed)
-        if poses is not None:
-            self._begin_at(packed, work, poses[1])
-        packed = _set_poses(packed, poses)
-        felt = self.felt_at(work, packed, extra), self.unkicked(work)
-        return find_forces(system, state, packed, work.x, work.v, extra, poses, *felt)
+        with _entered(system, state, memory, state.t) as work:
+            packed = undisturbed(work.packed)
+            if poses is not None:
+                self._begin_at(packed, work, poses[1])
+            packed = _set_poses(packed, poses)
+            felt = self.felt_at(work, packed), self.unkicked(work)
+            return find_forces(system, state, packed, work.x, work.v, poses, *felt)
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """See nuno_schemas.plugin.Inspected."""
-        work, extra = _enter(system, state, memory, state.t)
-        packed = undisturbed(work.packed)
-        self._begin_at(packed, work, poses[1])
-        free = self.free_forces(system, work, packed, extra)
-        _set_poses(packed, poses)
-        return find_touched(system, packed, work.x, self.felt_at(work, packed, extra), extra, poses[1], free)
+        with _entered(system, state, memory, state.t) as work:
+            packed = undisturbed(work.packed)
+            self._begin_at(packed, work, poses[1])
+            free = self.free_forces(system, work, packed)
+            _set_poses(packed, poses)
+            return find_touched(system, packed, work.x, self.felt_at(work, packed), poses[1], free)
 
     def _begin_at(self, packed: Packed, work: Any, poses: Poses) -> None:
         """Make the lists of contact, which has none after a change, or from a checkpoint, before its next step."""
         call_each(_set_poses(packed, (poses, poses)), "begin", work.x, 0.0, packed.threads)
 
-    def free_forces(self, system: System, work: Any, packed: Packed, extra: Extra) -> Float | None:
+    def free_forces(self, system: System, work: Any, packed: Packed) -> Float | None:
         """Return the forces (n, 3) [N] of steps without sliding; None where they are those of the laws."""
         return None
 
-    def felt_at(self, work: Any, packed: Packed, extra: Extra) -> Float:
+    def felt_at(self, work: Any, packed: Packed) -> Float:
         """Return the velocity (3, n) by which contact was felt at the end of the last step: that of the state."""
         return np.asarray(work.v)
 
@@ -284,9 +285,10 @@ class Compiled(ABC):
         return f"{count} thread{'s' if count > 1 else ''} of {available[0]} ({available[1]}){fewer}"
 
 
-def _enter(system: System, state: State, memory: Memory, end: float) -> tuple[Any, Extra]:
-    """Copy the state into the kernels' layout, and a checkpoint's arrays into the method's own. Return the method's
-    buffers, and the forces written in Python up to the time `end` [s], or None.
+@contextmanager
+def _entered(system: System, state: State, memory: Memory, end: float) -> Iterator[Any]:
+    """Copy the state into the kernels' layout, and a checkpoint's arrays into the method's own, for an interval that
+    lasts until `end` [s]; yield the method's buffers. Raises the errors of forces in Python.
     """
     work: Work = memory.work  # type: ignore[assignment]
     for name, own in _state_arrays(work)[0].items():
@@ -298,7 +300,9 @@ def _enter(system: System, state: State, memory: Memory, end: float) -> tuple[An
         numba.set_num_threads(work.tuning.choose() if state.t < end else work.tuning.threads)
     to_rows(state.x, work.x)
     to_rows(state.v, work.v)
-    return work, begin_interval(work.packed, system, state.t, end)
+    work.packed.time[:] = state.t, end - state.t
+    yield work
+    raise_error(work.packed.bodies, system.leave)
 
 
 def lacking(terms: Sequence[Term], role: str) -> list[str]:
@@ -311,11 +315,6 @@ def lacking(terms: Sequence[Term], role: str) -> list[str]:
             or any("block" in part and part.find(role) is None for part in map(kernels_of, term.data))
         }
     )
-
-
-def source_of(loop: Any, extra: object) -> Any:
-    """Return a compiled loop, or its Python source where a force is written in Python: it then calls compiled parts."""
-    return loop if extra is None else loop.py_func
 
 
 def cloth_size(fabric: Fabric) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from nuno_integrators.packing import copy_terms, making_lists, parts, silence
 from nuno_kernels.forces.yarn_tension import lengths, link_tensions, own_tensions
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
+from nuno_kernels.step.acceleration import Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Membrane, State
@@ -28,7 +28,7 @@ def undisturbed(packed: Packed) -> Packed:
 
 
 def find_forces(
-    system: System, state: State, packed: Packed, x: Float, v: Float, extra: Extra,
+    system: System, state: State, packed: Packed, x: Float, v: Float,
     poses: tuple[Poses, Poses] | None, felt: Float, unkicked: Collection[str] = (),
 ) -> Forces:  # fmt: skip
     """Return the forces in a state, which is also in x and v (3, n), with bodies as at the end of `poses`. All parts
@@ -41,8 +41,8 @@ def find_forces(
     mass, names = system.fabric.mass[:, None], parts(packed)
     bare = _bare(packed)
 
-    def force(variant: Packed, velocity: Float, python: Extra = None) -> Float:
-        return _force(variant, x, velocity, 1.0, python)
+    def force(variant: Packed, velocity: Float) -> Float:
+        return _force(variant, x, velocity, 1.0)
 
     kinds: dict[str, Float] = {"gravity": mass * np.asarray(system.gravity, np.float64)}
     if system.damping != 0.0:
@@ -51,8 +51,6 @@ def find_forces(
         velocity = v if part in unkicked else felt
         alone = silence(bare, *(name for name in names if name != part))
         kinds[part] = sum(call_each(alone, "pushed"), start=force(alone, velocity))
-    if extra is not None:
-        kinds["python"] = force(silence(bare, *names), felt, extra)
     total = np.sum(list(kinds.values()), axis=0)
     held = total if poses is None else _held(x, total, packed, poses[1])
     if held is not total:
@@ -61,15 +59,13 @@ def find_forces(
     return Forces(kinds, moved, link_tensions(system.fabric, state.x))
 
 
-def find_touched(
-    system: System, packed: Packed, x: Float, v: Float, extra: Extra, poses: Poses, free: Float | None
-) -> Touched:
+def find_touched(system: System, packed: Packed, x: Float, v: Float, poses: Poses, free: Float | None) -> Touched:
     """Return the force of each body on the vertices in the state x, v (3, n), with bodies as at the end of the
     interval, where `poses` has them: its contact's force with all else silent. A sliding surface reacts to `free` (n,
     3) [N] on vertices that are not held, for methods whose steps use other forces than their laws'.
     """
     bare, mass = _bare(packed), system.fabric.mass[:, None]
-    total = _force(bare, x, v, 1.0, extra)
+    total = _force(bare, x, v, 1.0)
     total += mass * np.asarray(system.gravity, np.float64) - system.damping * mass * v.T
     total = sum(call_each(bare, "pushed"), start=total)
     total = total if free is None else np.where(system.fabric.pinned[:, None], total, free)
@@ -79,7 +75,7 @@ def find_touched(
             alone = kernels_of(term).find("alone")(term, number)
             if "unbalance" not in kernels_of(term):
                 only = _only(bare, term, alone)
-                by[name] = sum(call_each(only, "pushed"), start=_force(only, x, v, 1.0, None))
+                by[name] = sum(call_each(only, "pushed"), start=_force(only, x, v, 1.0))
             else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
                 by[name], total = left - total, left
@@ -109,10 +105,10 @@ def _bare(packed: Packed) -> Packed:
     return packed._replace(inverse_mass=np.ones(len(packed.inverse_mass)), gravity=np.zeros(3), damping=0.0)
 
 
-def _force(packed: Packed, x: Float, v: Float, s: float, python: Extra) -> Float:
+def _force(packed: Packed, x: Float, v: Float, s: float) -> Float:
     """Return the forces (n, 3) [N] of a bare system at fraction s of the interval."""
     found = np.empty_like(x)
-    evaluate(x, v, s, found, packed, python)
+    evaluate(x, v, s, found, packed)
     return np.ascontiguousarray(found.T)
 
 
@@ -202,7 +198,7 @@ MOST = 64
 """most steps run together"""
 
 
-def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, extra: Extra) -> Mapping[str, float]:
+def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float) -> Mapping[str, float]:
     """Return the seconds per step by part: the names of its terms, and "python" for forces written in Python. The rest
     of a step is attachments, gravity, the update.
 
@@ -215,23 +211,19 @@ def profile_steps(loop: Any, packed: Packed, x: Float, v: Float, stages: Float, 
     packed_copy = silence(copy_terms(packed), *lists)
     place, speed = x.copy(), v.copy()
 
-    def run(variant: Packed, force: Extra, steps: int) -> float:
+    def run(variant: Packed, steps: int) -> float:
         call_each(variant, "begin", place, steps * BRIEF, variant.threads)
         began = time.perf_counter()
-        loop(place, speed, stages, steps, BRIEF, variant, force)
+        loop(place, speed, stages, steps, BRIEF, variant)
         return (time.perf_counter() - began) / steps
 
-    steps = max(1, min(MOST, int(LONG / max(run(packed_copy, extra, 1), 1e-9))))
-    variants: dict[str, tuple[Packed, Callable[..., None] | None]] = {"": (packed_copy, extra)}
-    for part in parts(packed):
-        if part not in lists:
-            variants[part] = (silence(packed_copy, part), extra)
-    if extra is not None:
-        variants["python"] = (packed_copy, lambda x, v, s, a: None)
+    steps = max(1, min(MOST, int(LONG / max(run(packed_copy, 1), 1e-9))))
+    timed = [part for part in parts(packed) if part not in lists]
+    variants = [packed_copy, *(silence(packed_copy, part) for part in timed)]
     # Round by round, so that a disturbance affects all variants alike.
-    rounds = [[run(variant, force, steps) for variant, force in variants.values()] for _ in range(REPEATS)]
+    rounds = [[run(variant, steps) for variant in variants] for _ in range(REPEATS)]
     whole, *without = np.min(rounds, axis=0).tolist()
-    return {part: max(0.0, whole - rest) for part, rest in zip(list(variants)[1:], without, strict=True)}
+    return {part: max(0.0, whole - rest) for part, rest in zip(timed, without, strict=True)}
 
 
 # How far every vertex of a cloth is from rest, as a share of the forces of its springs or triangles.

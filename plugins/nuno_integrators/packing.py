@@ -11,8 +11,9 @@ from nuno_kernels.forces.bending import pack_bending
 from nuno_kernels.forces.bending_friction import pack_friction
 from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
+from nuno_kernels.forces.python import make_forces
 from nuno_kernels.forces.springs import pack_springs
-from nuno_kernels.step.acceleration import Extra, Packed
+from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.terms import Kernels, kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
@@ -43,10 +44,10 @@ def thread_count(system: System) -> int:
 
 
 def pack(system: System, copy: bool = True) -> Packed:
-    """Return the kernel layout of a system. Raises BadInput for a force of a type without kernels; `begin_interval`
-    takes those in Python. Without `copy` its terms' arrays are the system's: for callers that take no steps.
+    """Return the kernel layout of a system. Raises BadInput for a force of a type without kernels. Without `copy` its
+    terms' arrays are the system's: for callers that take no steps.
     """
-    fabric = system.fabric
+    fabric, time = system.fabric, np.zeros(2)
     packed_terms = [part for term in system.terms if not callable(term.data) for part in term.data]
     packed_terms = [copy_term(part) for part in packed_terms] if copy else packed_terms
     packed_terms = [part._replace(leave=system.leave) if "leave" in part._fields else part for part in packed_terms]
@@ -59,9 +60,10 @@ def pack(system: System, copy: bool = True) -> Packed:
     friction = pack_friction(fabric.friction, n)
     forces += (*pack_bending(fabric.bending, n), *friction, *_pack_yarns(fabric))
     forces += tuple(part for part in packed_terms if "block" in kernels_of(part))
+    python = [term.data for term in system.terms if callable(term.data)]
+    packed_terms += [make_forces(python, n, time, system.leave)] if python else []
     bodies = (*_pack_carried(system), *friction, *(part for part in packed_terms if _has_steps(kernels_of(part))))
     threads = thread_count(system)
-    python = any(callable(term.data) for term in system.terms)
     adds = any("after" in kernels_of(part) for part in bodies)
     moved = any(_disturbs(kernels_of(part)) for part in bodies)
     packed = Packed(
@@ -73,12 +75,12 @@ def pack(system: System, copy: bool = True) -> Packed:
         bodies=bodies,
         bodies_on=np.ones(len(bodies), np.bool_),
         threads=threads if threads > 1 else None,
-        late=True if python or adds else None,
+        late=True if adds else None,
         moved=moved,
-        time=np.zeros(2),
+        time=time,
         leave=system.leave,
     )
-    return packed._replace(velocity_matters=python or reads_velocity(packed))
+    return packed._replace(velocity_matters=reads_velocity(packed))
 
 
 def copy_terms(packed: Packed) -> Packed:
@@ -138,7 +140,8 @@ def reads_velocity(packed: Packed) -> bool:
     """Whether any of the compiled forces depends on the velocity, or bodies move vertices after a step: an
     acceleration found before is then not that of the next step's start.
     """
-    return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in packed.forces)
+    terms = (*packed.forces, *packed.bodies)
+    return packed.damping != 0.0 or packed.moved or any(kernels_of(term).reads_velocity(term) for term in terms)
 
 
 def reads_time(system: System) -> bool:
@@ -186,24 +189,3 @@ def copy_term(data: Any) -> Any:
         return copy_term(value) if hasattr(value, "_fields") else value
 
     return type(data)(*map(copied, data))
-
-
-def begin_interval(packed: Packed, system: System, start: float, end: float) -> Extra:
-    """Write the interval's times [s] into the packed system, and return one function that adds all forces written in
-    Python to rows, or None without any.
-
-    They are called with x, v (n, 3), the time [s] and `out` (n, 3), to which they add newtons.
-    """
-    packed.time[:] = start, end - start
-    calls: list[Any] = [term.data for term in system.terms if callable(term.data)]
-    if not calls:
-        return None
-
-    def extra(x: Float, v: Float, s: float, a: Float) -> None:
-        out = np.zeros((x.shape[1], 3))
-        position, velocity = np.array(x.T, order="C"), np.array(v.T, order="C")
-        for call in calls:
-            call(position, velocity, start + s * (end - start), out)
-        a += out.T
-
-    return extra

@@ -16,10 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_integrators.packing import begin_interval, pack, reads_velocity, silence_bodies, to_rows
+from nuno_integrators.packing import pack, reads_velocity, silence_bodies, to_rows
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
+from nuno_kernels.forces.python import raise_error
+from nuno_kernels.step.acceleration import Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, Springs, State
 from nuno_schemas.system import System
@@ -88,7 +89,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
 
     What a term declares for when it becomes active (contact) is added.
     """
-    packed, extra, x, v, reach = _prepare(system, state)
+    packed, x, v, reach = _prepare(system, state)
     mass = np.where(system.fabric.pinned, 0.0, system.fabric.mass)
     moved, a, b = np.empty_like(x), np.empty_like(x), np.empty_like(x)
 
@@ -98,7 +99,7 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
         for sign, out in ((width, a), (-width, b)):
             np.multiply(u, sign, out=moved)
             np.add(moved, base, out=moved)
-            evaluate(moved if base is x else x, moved if base is v else v, 0.0, out, packed, extra)
+            evaluate(moved if base is x else x, moved if base is v else v, 0.0, out, packed)
         np.subtract(b, a, out=b)
         np.divide(b, 2.0 * width, out=b)
         return b
@@ -110,14 +111,15 @@ def measure_rates(system: System, state: State) -> tuple[float, float]:
         return difference(u, v, 1e-3)
 
     squared = largest_eigenvalue(stiffness, mass) + sum(term.omega_squared for term in system.terms)
-    uniform = extra is None and not reads_velocity(
+    uniform = not reads_velocity(
         packed._replace(damping=0.0, moved=any("hold" in kernels_of(t) for t in packed.bodies))
     )
     rate = packed.damping if uniform else largest_eigenvalue(friction, mass)
+    raise_error(packed.bodies, system.leave)
     return float(np.sqrt(squared)), rate + sum(term.damping_rate for term in system.terms)
 
 
-def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float, float]:
+def _prepare(system: System, state: State) -> tuple[Packed, Float, Float, float]:
     """Return the system to differentiate, and the reach of the differences [m].
 
     The reach is 1e-5 of the shortest spring: curvature then spoils 1e-10 of a product and rounding
@@ -127,19 +129,20 @@ def _prepare(system: System, state: State) -> tuple[Packed, Extra, Float, Float,
         # A spring that locks may do so at any time: it counts as if it had.
         system = replace(system, fabric=replace(system.fabric, springs=system.fabric.springs.stiffest()))
     packed = silence_bodies(pack(system, copy=False))
-    extra = begin_interval(packed, system, state.t, state.t)
+    packed.time[0] = state.t
     x, v = to_rows(state.x), to_rows(state.v)
     # A slipping element holds again as soon as it turns.
     call_each(packed, "stick", x)
-    if extra is None and x.shape[1]:
+    if x.shape[1] and not any(callable(term.data) for term in system.terms):
         x -= 0.5 * (x.min(axis=1, keepdims=True) + x.max(axis=1, keepdims=True))
     energy = measure_energy(x, v, system.fabric.mass, packed)
     if energy.zero_length:
         fabric = _with_loose_springs(system.fabric, state.x)
-        packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))._replace(time=packed.time)
+        packed = silence_bodies(pack(replace(system, fabric=fabric), copy=False))
+        packed.time[0] = state.t
         call_each(packed, "stick", x)
     extent = float(np.abs(x).max(initial=0.0)) or 1.0
-    return packed, extra, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
+    return packed, x, v, 1e-5 * min(max(energy.shortest, 1e-6 * extent), extent)
 
 
 def _with_loose_springs(fabric: Fabric, position: Float) -> Fabric:

@@ -24,45 +24,24 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, StepResult, Work, lacking, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, lacking
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.packing import silence, silence_bodies
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
-from nuno_kernels.forces.constraints import Constraints, clear, pack_constraints, sweep
-from nuno_kernels.forces.constraints import forget as forget_each
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
+from nuno_kernels.forces.constraints import Constraints, clear, forget, pack_constraints, sweep
+from nuno_kernels.step.acceleration import Packed, call_each, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Displaced, each, kernels_of, over_blocks
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Fabric, Float, State
+from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
 
 # The phases of an XPBD step: free displacement, sweeps over constraints and contact, new state.
 
-carry_each = each("carry", "moved, s")
-project_each = each("project", "moved, s, held, threads")
-
-
-@kernel
-def carry(bodies: tuple[Any, ...], on: Bool, moved: Displaced, s: float) -> None:
-    """Move carried vertices to where they are at fraction s."""
-    carry_each(bodies, on, moved, s)
-
-
-@kernel
-def forget(kinds: tuple[Any, ...], on: Bool) -> None:
-    """Zero the constraints' forces of the step before."""
-    forget_each(kinds, on)
-
-
-@kernel
-def project(
-    bodies: tuple[Any, ...], on: Bool, moved: Displaced, s: float, held: Float | None, threads: int | None
-) -> None:
-    """Move vertices off bodies, and cloth off cloth."""
-    project_each(bodies, on, moved, s, held, threads)
+carry = each("carry", "moved, s")
+project = each("project", "moved, s, held, threads")
 
 
 @block_kernel
@@ -117,10 +96,10 @@ def arrive(x: Float, v: Float, u: Float, inverse_step: float, threads: int | Non
 
 
 @shared_source
-def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | None, extra: Extra) -> None:
+def evaluate_others(x: Float, v: Float, s: float, a: Float, others: Packed | None) -> None:
     """Acceleration [m/s^2] of the forces without constraint, where there are any."""
     if others is not None:
-        evaluate(x, v, s, a, others, extra)
+        evaluate(x, v, s, a, others)
 
 
 @shared_source
@@ -143,14 +122,14 @@ class Swept(NamedTuple):
 
 
 @kernel
-def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, own: Swept) -> None:
+def advance_xpbd(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, own: Swept) -> None:
     """Take `steps` steps of x, v (3, n); stages (4, 3, n) is scratch."""
     c, inverse_step = own.constraints, 1.0 / dt
     moved = Displaced(x, stages[0], stages[1], stages[2], own.mobility, inverse_step)
     for step in range(steps):
         if p.leave[0] != 0:
             break
-        evaluate_others(x, v, step / steps, stages[3], own.others, extra)
+        evaluate_others(x, v, step / steps, stages[3], own.others)
         force = felt(stages[3], own.others)
         predict(v, moved.u, force, own.mobility, p.inverse_mass, p.gravity, p.damping, dt, p.threads)
         end = (step + 1) / steps
@@ -244,13 +223,13 @@ class XPBD(Compiled):
         explicit_names = f"; without a constraint, as at the start of each step: {', '.join(names)}" if names else ""
         return super().about(system) + explicit_names
 
-    def go(self, work: XPBDWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+    def go(self, work: XPBDWork, packed: Packed, steps: int, dt: float) -> StepResult:
         call_each(packed, "approach", 1.0 / dt)
         work.last[0] = dt if steps else work.last[0]
-        source_of(advance_xpbd, extra)(work.x, work.v, work.stages, steps, dt, packed, extra, work.own)
+        advance_xpbd(work.x, work.v, work.stages, steps, dt, packed, work.own)
         return StepResult(steps, "", {"iterations": steps * work.own.iterations})
 
-    def free_forces(self, system: System, work: XPBDWork, packed: Packed, extra: Extra) -> Float | None:
+    def free_forces(self, system: System, work: XPBDWork, packed: Packed) -> Float | None:
         """Return the forces of a step like the last one, since sweeps end before springs are at their law."""
         slid = np.array(["unbalance" in kernels_of(term) for term in packed.bodies], np.bool_)
         dt = float(work.last[0])
@@ -259,12 +238,12 @@ class XPBD(Compiled):
         x, v = work.x.copy(), work.v.copy()
         call_each(packed, "approach", 1.0 / dt)
         free = packed._replace(bodies_on=packed.bodies_on & ~slid)
-        source_of(advance_xpbd, extra)(x, v, work.stages, 1, dt, free, extra, work.own)
+        advance_xpbd(x, v, work.stages, 1, dt, free, work.own)
         call_each(packed, "approach", np.inf)
         return np.asarray(system.fabric.mass[:, None] * (v - work.v).T * (1.0 / dt + packed.damping))
 
-    def step_at_rest(self, work: XPBDWork, extra: Extra) -> Any:
-        def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
+    def steps_of(self, work: XPBDWork) -> Any:
+        def at_rest(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
             c, others = work.own.constraints, work.own.others
             if others is not None:
                 others = others._replace(forces=p.forces, forces_on=others.forces_on & p.forces_on)
@@ -272,6 +251,6 @@ class XPBD(Compiled):
             acting = {kernels_of(term).name for term, on in zip(p.forces, p.forces_on, strict=True) if on}
             c = c._replace(on=np.array([kernels_of(kind).name in acting for kind in c.kinds], np.bool_))
             own = work.own._replace(others=others, constraints=c)
-            source_of(advance_xpbd, force)(x, v, stages, steps, AT_REST, p, force, own)
+            advance_xpbd(x, v, stages, steps, AT_REST, p, own)
 
         return at_rest

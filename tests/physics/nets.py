@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_integrators.packing import begin_interval, pack, to_rows
+from nuno_integrators.packing import pack, to_rows
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
 from nuno_kernels.terms import kernels_of
@@ -69,8 +69,7 @@ def wind_force(wind: Any, x: Float, v: Float) -> Float:
 def accelerations(system: System, x: Float, v: Float) -> Float:
     """(n, 3) accelerations at x, v (n, 3)."""
     rows, out = to_rows(x), np.zeros((3, x.shape[0]))
-    packed = pack(system)
-    evaluate(rows, to_rows(v), 0.0, out, packed, begin_interval(packed, system, 0.0, 0.0))
+    evaluate(rows, to_rows(v), 0.0, out, pack(system))
     return np.ascontiguousarray(out.T)
 
 

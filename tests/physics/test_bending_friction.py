@@ -54,7 +54,7 @@ def rolled(cloth: Fabric, curvature: float) -> Float:
 
 def force(cloth: Fabric, packed: Packed, x: Float) -> Float:
     a = np.zeros((3, cloth.number))
-    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, packed, None)
+    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, packed)
     return np.asarray(cloth.mass[:, None] * a.T)
 
 

@@ -44,7 +44,7 @@ def crumpled(piece: Fabric) -> Float:
 
 def force(piece: Fabric, x: Float) -> Float:
     a = np.zeros((3, piece.number))
-    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(piece)), None)
+    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(piece)))
     return np.asarray(MASS * a.T)
 
 

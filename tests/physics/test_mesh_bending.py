@@ -37,7 +37,7 @@ def crumpled(fabric: Fabric) -> Float:
 
 def force(fabric: Fabric, x: Float) -> Float:
     a = np.zeros((3, fabric.number))
-    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(fabric)), None)
+    evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(fabric)))
     return np.asarray(fabric.mass[:, None] * a.T)
 
 
@@ -149,7 +149,7 @@ def test_large_pieces_have_the_same_forces_on_any_number_of_threads() -> None:
     x, found = crumpled(cloth), []
     for threads in (1, 2):
         a = np.zeros((3, cloth.number))
-        evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(cloth, threads=threads)), None)
+        evaluate(to_rows(x), np.zeros_like(a), 0.0, a, pack(make_system(cloth, threads=threads)))
         found.append(a)
     np.testing.assert_array_equal(*found)
     np.testing.assert_allclose(cloth.mass[:, None] * found[0].T, -bending_energy(cloth, x)[1], rtol=0, atol=1e-14)

@@ -208,8 +208,8 @@ def derivative(fabric: Fabric, x: Float, u: Float, rate: float) -> Float:
     """-(dF/dx + rate dF/dv) u (3, n) by central differences, at v = 0."""
     packed, ahead, behind = pack(make_system(fabric)), np.empty_like(x), np.empty_like(x)
     v, e = np.zeros_like(x), 1e-6
-    evaluate(x + e * u, v + e * rate * u, 0.0, ahead, packed, None)
-    evaluate(x - e * u, v - e * rate * u, 0.0, behind, packed, None)
+    evaluate(x + e * u, v + e * rate * u, 0.0, ahead, packed)
+    evaluate(x - e * u, v - e * rate * u, 0.0, behind, packed)
     return np.asarray(-fabric.mass * (ahead - behind) / (2.0 * e))
 
 
@@ -435,8 +435,8 @@ def test_matrix_is_the_derivative_of_the_forces(by: float) -> None:
     linear, u, e = make_linear(packed), np.random.default_rng(5).standard_normal(x.shape), 1e-7
     fill(x, 1.0, packed, linear)
     ahead, behind = np.empty_like(x), np.empty_like(x)
-    evaluate(x + e * u, 0 * x, 0.0, ahead, packed, None)
-    evaluate(x - e * u, 0 * x, 0.0, behind, packed, None)
+    evaluate(x + e * u, 0 * x, 0.0, ahead, packed)
+    evaluate(x - e * u, 0 * x, 0.0, behind, packed)
     expected = -(ahead - behind) / (2.0 * e)
     np.testing.assert_allclose(multiply(linear, u, None), expected, atol=1e-7 * np.abs(expected).max())
 

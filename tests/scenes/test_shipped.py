@@ -181,7 +181,7 @@ def balance(system: System) -> Float:
 
     def force(x: Float) -> Float:
         out = np.zeros((3, fabric.number))
-        evaluate(to_rows(x.reshape(-1, 3)), 0.0 * out, 0.0, out, packed, None)
+        evaluate(to_rows(x.reshape(-1, 3)), 0.0 * out, 0.0, out, packed)
         return np.asarray((out.T * fabric.mass[:, None]).reshape(-1)[free])
 
     for _ in range(12):

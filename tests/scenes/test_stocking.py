@@ -193,13 +193,13 @@ def test_a_profile_leaves_sliding_points_where_they_are() -> None:
     simulation, _ = fit()
     work: Any = simulation.memory.work
     x, v = to_rows(simulation.state.x), to_rows(simulation.state.v)
-    loop = simulation.loaded.integrator.plugin.loop_of(work.packed, None)
+    loop = simulation.loaded.integrator.plugin.steps_of(work)
 
     def watched(place: Float, speed: Float, *rest: Any) -> None:
         loop(place, speed, *rest)
         assert np.abs(place - x).max() < 1e-12
 
-    profile_steps(watched, work.packed, x, v, work.stages, None)
+    profile_steps(watched, work.packed, x, v, work.stages)
 
 
 @pytest.mark.full

@@ -110,7 +110,7 @@ class Raising(Halved):
 
 
 @kernel
-def advance_wrongly(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any, extra: Any) -> None:
+def advance_wrongly(x: Any, v: Any, stages: Any, steps: int, dt: float, p: Any) -> None:
     """What no compiler takes."""
     if steps < 0:
         x.no_such_thing()
@@ -120,9 +120,8 @@ class Uncompiled(SymplecticEuler):
     """One that cannot be compiled."""
 
     name = "uncompiled"
-    loop = advance_wrongly
 
-    def loop_of(self, packed: Any, extra: Any) -> Any:
+    def steps_of(self, work: Any) -> Any:
         return advance_wrongly
 
 

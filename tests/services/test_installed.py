@@ -114,7 +114,7 @@ import nuno
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add_twice
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
 from nuno_kernels.terms import register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, State
@@ -183,9 +183,9 @@ class PullForce:
 
 
 @kernel
-def advance(x: Array, v: Array, stages: Array, steps: int, dt: float, p: Packed, extra: Extra) -> None:
+def advance(x: Array, v: Array, stages: Array, steps: int, dt: float, p: Packed) -> None:
     for step in range(steps):
-        evaluate(x, v, step / steps, stages[0], p, extra)
+        evaluate(x, v, step / steps, stages[0], p)
         add_twice(v, v, dt, stages[0], x, x, dt, v, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 

@@ -212,8 +212,8 @@ class Parts:
         }
         own, a = packed._replace(forces=tuple(m if isinstance(f, ContactState) else f for f in packed.forces)), v.copy()
         alone, cloth, rates = silence(own, "cloth_contact"), x[:, : len(state.v)].copy(), v[:, : len(state.v)].copy()
-        forces = fastest_call(lambda: evaluate(cloth, rates, 0.0, a, own, None))
-        forces -= fastest_call(lambda: evaluate(cloth, rates, 0.0, a, alone, None))
+        forces = fastest_call(lambda: evaluate(cloth, rates, 0.0, a, own))
+        forces -= fastest_call(lambda: evaluate(cloth, rates, 0.0, a, alone))
         call = fastest_call(lambda: is_thorough(m))
         times = {name: fastest_call(part) - call for name, part in calls.items()}
         self.moments.append({name: max(0.0, time) for name, time in ({"forces of pairs": forces} | times).items()})

@@ -21,7 +21,7 @@ from pydantic import Field
 from scipy.integrate import DOP853 as EIGHTH
 from scipy.integrate import RK45
 
-from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size
 from nuno_integrators.explicit.runge_kutta import (
     Buffers,
     Stage,
@@ -29,13 +29,12 @@ from nuno_integrators.explicit.runge_kutta import (
     Weights,
     combine,
     take_stages,
-    take_stages_interpreted,
 )
 from nuno_integrators.packing import reads_time
 from nuno_integrators.stability import measure_rates, stable_step
-from nuno_kernels import block_kernel, kernel, shared_source
+from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes import WIDTH, lane, read, splat
-from nuno_kernels.step.acceleration import Extra, Packed, commit
+from nuno_kernels.step.acceleration import Packed, commit
 from nuno_kernels.step.blocks import BLOCK, Long, block_count, copy_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.errors import BadInput
@@ -118,14 +117,14 @@ def square(k: Float, weights: Float, sums: Float, threads: int | None) -> float:
     return total
 
 
-@shared_source
+@kernel
 def estimated(b: Buffers, e: Estimate, which: int, h: float, threads: int | None) -> float:
     """Return one of the estimates [m], root of the sum over vertices: h times velocities, and positions."""
     velocity = np.sqrt(square(b.k, e.velocity[which], e.sums, threads))
     return float(h * h * (velocity + np.sqrt(square(b.k, e.position[which], e.sums, threads))))
 
 
-@shared_source
+@kernel
 def estimate_error(b: Buffers, e: Estimate, h: float, allowed: float, threads: int | None) -> float:
     """Return the estimated error over the allowed: root mean square of positions and of h times velocities.
 
@@ -164,9 +163,8 @@ def take(control: Float, h: float, error: float, alpha: float, again: bool) -> N
 
 @kernel
 def advance_adaptive(
-    b: Buffers, weights: Weights, estimate: Estimate, control: Float, counts: Long, interval: Interval, p: Packed,
-    extra: Extra,
-) -> bool:  # fmt: skip
+    b: Buffers, weights: Weights, estimate: Estimate, control: Float, counts: Long, interval: Interval, p: Packed
+) -> bool:
     """Step to the end of an interval, until the pending step ends at or beyond it.
 
     A step that is accepted stays pending until the next is tried, so that the state at the end of the interval can be
@@ -197,10 +195,7 @@ def advance_adaptive(
         h = choose_length(control[NEXT], span - control[AT], interval.longest, interval.landing)
         if p.leave[0] != 0 or not h > SMALLEST * span:
             return False
-        if extra is None:
-            take_stages(b, weights, first, slopes, h, control[AT], span, p, None)
-        else:
-            take_stages_interpreted(b, weights, first, slopes, h, control[AT], span, p, extra)
+        take_stages(b, weights, first, slopes, h, control[AT], span, p)
         error = estimate_error(b, estimate, h, interval.allowed, p.threads)
         if error <= 1.0:
             counts[ACCEPTED] += 1
@@ -343,7 +338,7 @@ class Adaptive(Compiled):
         """Return the matrices (2, 2, ...) of one accepted step; see Tableau."""
         return self.tableau.amplification(omega, damping, dt)
 
-    def go(self, work: AdaptiveWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+    def go(self, work: AdaptiveWork, packed: Packed, steps: int, dt: float) -> StepResult:
         b, control, span = work.b, work.control, steps * dt
         if not self._goes_on(work, packed, span):
             b.x[...], b.v[...] = work.x, work.v
@@ -351,7 +346,7 @@ class Adaptive(Compiled):
         counts = np.zeros(2, np.int64)
         interval = Interval(span, min(dt, work.longest), work.landing, work.allowed)
         method = self.tableau.weights, work.estimate
-        whole = source_of(advance_adaptive, extra)(b, *method, control, counts, interval, packed, extra)
+        whole = advance_adaptive(b, *method, control, counts, interval, packed)
         if control[PENDING] > 0.0 and whole:
             self._read_inside(work, packed, span)
             control[AT] -= span
@@ -362,14 +357,14 @@ class Adaptive(Compiled):
         problem = "" if whole else f"no step above {SMALLEST * span:.2g} s meets the tolerance"
         return StepResult(accepted, problem, {"steps": accepted, "rejected_steps": rejected})
 
-    def compile(self, work: AdaptiveWork, packed: Packed, extra: Extra) -> None:
+    def compile(self, work: AdaptiveWork, packed: Packed) -> None:
         """Compile by an interval of no length, which ends before its first step."""
         b, weights, interval = work.b, self.tableau.weights, Interval(0.0, 0.0, work.landing, work.allowed)
         control, counts = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(2, np.int64)
-        source_of(advance_adaptive, extra)(b, weights, work.estimate, control, counts, interval, packed, extra)
+        advance_adaptive(b, weights, work.estimate, control, counts, interval, packed)
         if not work.landing:
             # The function that reads a state within a step: without stages, into separate arrays.
-            take_stages(b, weights, 0, 0, 0.0, 0.0, 1.0, packed, None)
+            take_stages(b, weights, 0, 0, 0.0, 0.0, 1.0, packed)
             self._interpolate(b, 0.0, 0.0, np.empty_like(b.x), np.empty_like(b.v), packed.threads)
 
     def _goes_on(self, work: AdaptiveWork, packed: Packed, span: float) -> bool:
@@ -381,7 +376,7 @@ class Adaptive(Compiled):
             return True
         now_x, now_v = work.x.copy(), work.v.copy()
         h, start = float(control[PENDING]), float(control[AT])
-        take_stages(work.b, self.tableau.weights, 0, self.tableau.stages + 1, h, start, span, packed, None)
+        take_stages(work.b, self.tableau.weights, 0, self.tableau.stages + 1, h, start, span, packed)
         control[AT] += span
         self._read_inside(work, packed, span)
         control[AT] -= span
@@ -394,7 +389,7 @@ class Adaptive(Compiled):
         b, h, start, table = work.b, float(work.control[PENDING]), float(work.control[AT]), self.tableau
         if len(table.further):
             y, u = b.y.copy(), b.u.copy()
-            take_stages(b, table.weights, table.stages + 1, len(table.rows), h, start, span, packed, None)
+            take_stages(b, table.weights, table.stages + 1, len(table.rows), h, start, span, packed)
             b.y[...], b.u[...] = y, u
         self._interpolate(b, (span - start) / h, h, work.x, work.v, packed.threads)
 
@@ -404,14 +399,11 @@ class Adaptive(Compiled):
         stage = Stage(theta * h, h, weights @ self.tableau.weights.a, weights, len(self.tableau.rows))
         combine(b, stage, x, v, threads)
 
-    def step_at_rest(self, work: AdaptiveWork, extra: Extra) -> Any:
-        def steps_of_no_length(
-            x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra
-        ) -> None:
+    def steps_of(self, work: AdaptiveWork) -> Any:
+        def steps_of_no_length(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
             work.b.x[...], work.b.v[...] = x, v
-            call, slopes = source_of(take_stages, force), self.tableau.stages + 1
             for _ in range(steps):
-                call(work.b, self.tableau.weights, 0, slopes, 0.0, 0.0, 1.0, p, force)
+                take_stages(work.b, self.tableau.weights, 0, self.tableau.stages + 1, 0.0, 0.0, 1.0, p)
 
         return steps_of_no_length
 

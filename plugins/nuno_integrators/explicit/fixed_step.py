@@ -10,12 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work
 from nuno_integrators.explicit.updates import add, add_twice
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, evaluate, hold, settle, slow
+from nuno_kernels.step.acceleration import Packed, add_forces, commit, evaluate, hold, settle, slow
 from nuno_kernels.step.blocks import copy_rows
+from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System
@@ -30,7 +31,7 @@ class NoConfig(Config):
 
 
 class Explicit(Compiled):
-    """An integrator by a compiled `loop(x, v, stages, steps, dt, packed, extra)`; `stages` (room, 3, n) is its own."""
+    """An integrator by a compiled `loop(x, v, stages, steps, dt, packed)`; `stages` (room, 3, n) is its own."""
 
     Config: ClassVar[type[BaseModel]] = NoConfig
     explicit: ClassVar[bool] = True
@@ -45,16 +46,12 @@ class Explicit(Compiled):
         """Number of arrays (3, n) in `stages`."""
         return ROOM
 
-    def loop_of(self, packed: Packed, extra: Extra) -> Any:
-        """Return the loop for a system."""
-        return source_of(type(self).loop, extra)
+    def steps_of(self, work: Work) -> Any:
+        return type(self).loop
 
-    def go(self, work: Work, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
-        self.loop_of(packed, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+    def go(self, work: Work, packed: Packed, steps: int, dt: float) -> StepResult:
+        self.steps_of(work)(work.x, work.v, work.stages, steps, dt, packed)
         return StepResult(steps)
-
-    def step_at_rest(self, work: Work, extra: Extra) -> Any:
-        return self.loop_of(work.packed, extra)
 
     def limit(self, config: Any, system: System, state: State) -> StepLimit:
         omega, damping = measure_rates(system, state)
@@ -71,26 +68,27 @@ class Explicit(Compiled):
         x, v = np.zeros((2, 3, w.size))
         x[0], v[1] = 1.0, 1.0
 
-        def pull(x: Float, v: Float, s: float, a: Float) -> None:
-            a -= w * w * x + d * v
+        felt = list[float]()
 
-        packed = Packed(np.ones(w.size), np.zeros(3), 0.0, late=True)
-        in_numpy(type(self).loop)(x, v, np.empty((ROOM, 3, w.size)), 1, 1.0, packed, pull)
+        def evaluate_springs(x: Float, v: Float, s: float, a: Float, p: Packed) -> None:
+            felt.append(s)
+            a[...] = -w * w * x - d * v
+
+        packed = Packed(np.ones(w.size), np.zeros(3), 0.0)
+        in_numpy(type(self).loop, evaluate_springs)(x, v, np.empty((ROOM, 3, w.size)), 1, 1.0, packed)
+        if not felt:
+            raise RunFailed(f"the loop of {self.name!r} does not call nuno_kernels.step.acceleration.evaluate by name")
         return np.array([[x[0], x[1] * h], [v[0] / h, v[1]]]).reshape(2, 2, *shape)
 
 
-def in_numpy(loop: Any) -> Any:
-    """Return a loop's source with NumPy's functions in the place of compiled ones: to run it compiles nothing. One that
-    it knows by other names than its module's is compiled, for a system without forces but those in Python.
+def in_numpy(loop: Any, acceleration: Any) -> Any:
+    """Return a loop's source with `acceleration` in the place of evaluate, and NumPy's functions in the place of other
+    compiled ones: to run it compiles nothing but what it calls besides.
     """
     source = getattr(loop, "py_func", loop)
-    plain = {name: PLAIN[id(value)] for name, value in source.__globals__.items() if id(value) in PLAIN}
-    return FunctionType(source.__code__, source.__globals__ | plain, closure=source.__closure__)
-
-
-def _evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Any) -> None:
-    a[...] = 0.0
-    extra(x, v, s, a)
+    plain = PLAIN | {id(evaluate): acceleration}
+    names = {name: plain[id(value)] for name, value in source.__globals__.items() if id(value) in plain}
+    return FunctionType(source.__code__, source.__globals__ | names, closure=source.__closure__)
 
 
 def _add(out: Float, y: Float, h: float, k: Float, threads: int | None) -> None:
@@ -104,7 +102,7 @@ def _add_twice(
     second[...] = z + g * m
 
 
-PLAIN = {id(evaluate): _evaluate, id(add): _add, id(add_twice): _add_twice}
+PLAIN = {id(add): _add, id(add_twice): _add_twice}
 PLAIN |= {id(function): lambda *arguments: None for function in (commit, hold, settle, slow)}
 """what free masses without bodies make of a loop's functions"""
 
@@ -113,13 +111,13 @@ PLAIN |= {id(function): lambda *arguments: None for function in (commit, hold, s
 
 
 @kernel
-def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
+def advance_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
     """Take `steps` steps of x, v (3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
             break
-        evaluate(x, v, step / steps, a, p, extra)
+        evaluate(x, v, step / steps, a, p)
         add_twice(x, x, dt, v, v, v, dt, a, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
@@ -136,19 +134,19 @@ class Euler(Explicit):
 
 
 @kernel
-def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
+def advance_symplectic_euler(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
     """Take `steps` steps of x, v (3, n)."""
     a = stages[0]
     for step in range(steps):
         if p.leave[0] != 0:
             break
-        evaluate(x, v, step / steps, a, p, extra)
+        evaluate(x, v, step / steps, a, p)
         add_twice(v, v, dt, a, x, x, dt, v, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
 
 @kernel
-def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
+def advance_at_once(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
     """Do what advance_symplectic_euler does, to the last bit, where no force is added after the blocks: each step in
     one pass over the vertices instead of two, from one pair of arrays to another, with one barrier of the threads.
     """
@@ -171,9 +169,9 @@ class SymplecticEuler(Explicit):
     order: ClassVar[int] = 1
     loop: ClassVar[Any] = advance_symplectic_euler
 
-    def loop_of(self, packed: Packed, extra: Extra) -> Any:
+    def steps_of(self, work: Work) -> Any:
         """Use one pass a step if contact and Python add no forces."""
-        return advance_at_once if packed.late is None else source_of(advance_symplectic_euler, extra)
+        return advance_at_once if work.packed.late is None else advance_symplectic_euler
 
 
 # Leapfrog, or velocity Verlet: x += v dt + a dt^2/2; v += (a_old + a_new) dt/2. Order 2.
@@ -183,7 +181,7 @@ class SymplecticEuler(Explicit):
 
 
 @kernel
-def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra) -> None:
+def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
     """Take `steps` steps of x, v (3, n).
 
     Half a kick comes first: x + v dt + a dt^2/2 is x + (v + a dt/2) dt, one update less.
@@ -197,15 +195,15 @@ def advance_leapfrog(x: Float, v: Float, stages: Float, steps: int, dt: float, p
         if p.leave[0] != 0:
             break
         if step == 0 or p.velocity_matters:
-            evaluate(x, v, step / steps, a, p, extra)
+            evaluate(x, v, step / steps, a, p)
         add_twice(v, v, 0.5 * dt, a, x, x, dt, v, p.threads)
-        hold(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
+        hold(p.bodies, p.bodies_on, x, v, (step + 1) / steps, p.threads)
         if p.velocity_matters:
             add(u, v, 0.5 * dt, a, p.threads)
-            slow(x, u, p.bodies, p.bodies_on, p.threads)
-        evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p, extra)
+            slow(p.bodies, p.bodies_on, x, u, p.threads)
+        evaluate(x, u if p.velocity_matters else v, (step + 1) / steps, b, p)
         add(v, v, 0.5 * dt, b, p.threads)
-        slow(x, v, p.bodies, p.bodies_on, p.threads)
+        slow(p.bodies, p.bodies_on, x, v, p.threads)
         settle(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
         a, b = b, a
 

@@ -42,16 +42,16 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from nuno_integrators.compiled import Compiled, StepResult, Work, source_of
+from nuno_integrators.compiled import Compiled, StepResult, Work
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Extra, Packed, add_forces, commit, credit, evaluate, place
+from nuno_kernels.step.acceleration import Packed, add_forces, commit, credit, evaluate, place
 from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
-from nuno_schemas.fabric import Bool, Fabric, Float, State
+from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
@@ -110,14 +110,8 @@ class RespaConfig(Config):
 
 
 @kernel
-def set_out(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool) -> None:
-    """Set carried vertices to the position and velocity that they have from fraction s of the frame on."""
-    place(bodies, on, x, v, s)
-
-
-@kernel
 def advance_respa(
-    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, slow: Packed, every: int
+    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, slow: Packed, every: int
 ) -> None:
     """Take `steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all other forces.
 
@@ -131,11 +125,11 @@ def advance_respa(
     step, before = 0, 0
     while steps > 0:
         after = min(every, steps - step)
-        evaluate(here_x, here_v, step / steps, a, slow, extra)
+        evaluate(here_x, here_v, step / steps, a, slow)
         add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
         if after == 0 or p.leave[0] != 0:
             break
-        set_out(here_x, here_v, step / steps, slow.bodies, slow.bodies_on)
+        place(slow.bodies, slow.bodies_on, here_x, here_v, step / steps)
         copy_rows(here_x, last)
         add(here_x, here_x, 0.5 * dt, here_v, p.threads)
         for _ in range(after):
@@ -147,7 +141,7 @@ def advance_respa(
         copy_rows(here_x, to_x)
         commit(here_x, u, step / steps, slow.bodies, slow.bodies_on, p.threads)
         rejoin(here_v, u, here_x, to_x, last, a, p.threads)
-        credit(a, slow.bodies, slow.bodies_on)
+        credit(slow.bodies, slow.bodies_on, a)
     if steps % 2 == 1:
         copy_rows(here_x, x)
         copy_rows(here_v, v)
@@ -231,44 +225,41 @@ class Respa(Compiled):
             return 1
         return divide(system).steps_a_kick(dt, span) if config.every == "auto" else config.every
 
-    def go(self, work: RespaWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+    def go(self, work: RespaWork, packed: Packed, steps: int, dt: float) -> StepResult:
         if dt != work.dt:
             work.kicks = work.division.steps_a_kick(dt, steps * dt) if work.every is None else work.every
             work.dt = dt
-        self._loop(work, extra)(work.x, work.v, work.stages, steps, dt, packed, extra)
+        self.steps_of(work)(work.x, work.v, work.stages, steps, dt, packed)
         work.last = (steps - 1) % work.kicks + 1
         return StepResult(steps)
 
-    def compile(self, work: RespaWork, packed: Packed, extra: Extra) -> None:
-        self._loop(work, extra)(work.x, work.v, work.stages, 0, 0.0, packed, extra)
+    def compile(self, work: RespaWork, packed: Packed) -> None:
+        self.steps_of(work)(work.x, work.v, work.stages, 0, 0.0, packed)
 
-    def step_at_rest(self, work: RespaWork, extra: Extra) -> Any:
-        return self._loop(work, extra)
-
-    def felt_at(self, work: RespaWork, packed: Packed, extra: Extra) -> Float:
+    def felt_at(self, work: RespaWork, packed: Packed) -> Float:
         """Return the velocity before the last kick, half of which is in the state: v - H / 2 a(v), iterated."""
         half = 0.0 if _slides(work.packed) else 0.5 * work.last * work.dt
         slow, a, v = work.division.slow_part(packed), np.empty_like(work.v), work.v
         for _ in range(ROUNDS if half > 0.0 else 0):
-            evaluate(work.x, v, 1.0, a, slow, extra)
+            evaluate(work.x, v, 1.0, a, slow)
             v = work.v - half * a
         return v
 
     def unkicked(self, work: RespaWork) -> Collection[str]:
         return work.division.always
 
-    def _loop(self, work: RespaWork, extra: Extra) -> Any:
+    def steps_of(self, work: RespaWork) -> Any:
         """Return the loop of a system divided into tension and all other forces; symplectic Euler's if there is no
         division, or if vertices slide on bodies, where contact changes their velocities in each step.
         """
         always = work.division.always
-        alone = extra is None and not work.packed.bodies and not set(parts(work.packed)) - set(always)
+        alone = not work.packed.bodies and not set(parts(work.packed)) - set(always)
         if alone or _slides(work.packed):
-            return SymplecticEuler().loop_of(work.packed, extra)
+            return SymplecticEuler().steps_of(work)
 
-        def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
+        def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
             fast, slow = work.division.fast_part(p), work.division.slow_part(p)
-            source_of(advance_respa, extra)(x, v, stages, steps, dt, fast, force, slow, work.kicks)
+            advance_respa(x, v, stages, steps, dt, fast, slow, work.kicks)
 
         return loop
 

@@ -18,12 +18,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from nuno_integrators.compiled import source_of
+from nuno_integrators.compiled import Work
 from nuno_integrators.explicit.fixed_step import Explicit
 from nuno_integrators.explicit.updates import add
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes import WIDTH, read, splat, write
-from nuno_kernels.step.acceleration import Extra, Packed, commit, evaluate
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
@@ -134,7 +134,7 @@ def combine(b: Buffers, stage: Stage, y: Float, u: Float, threads: int | None) -
 
 @block_kernel
 def take_stages(
-    b: Buffers, weights: Weights, first: int, end: int, h: float, start: float, span: float, p: Packed, extra: Extra
+    b: Buffers, weights: Weights, first: int, end: int, h: float, start: float, span: float, p: Packed
 ) -> None:
     """Compute stages `first` to `end` - 1 of a step of h from (b.x, b.v), `start` after the beginning of an interval of
     `span`, and their slopes; the last one is left in (b.y, b.u).
@@ -142,31 +142,23 @@ def take_stages(
     for i in range(first, end):
         s, slope = (start + weights.c[i] * h) / span, b.k[3 * i : 3 * i + 3]
         if i == 0:
-            evaluate(b.x, b.v, s, slope, p, extra)
+            evaluate(b.x, b.v, s, slope, p)
         else:
             combine(b, Stage(weights.c[i] * h, h, weights.aa[i], weights.a[i], i), b.y, b.u, p.threads)
-            evaluate(b.y, b.u, s, slope, p, extra)
+            evaluate(b.y, b.u, s, slope, p)
         if p.frozen_damping != 0.0:
             add(slope, slope, -p.frozen_damping, b.v, p.threads)
 
 
-take_stages_interpreted = source_of(take_stages, True)
-
-
 @kernel
-def advance_runge_kutta(
-    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, extra: Extra, weights: Weights
-) -> None:
+def advance_runge_kutta(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, weights: Weights) -> None:
     """Take `steps` steps of x, v (3, n) by a tableau of s stages; stages (s + 2, 3, n)."""
     s, span = len(stages) - 2, steps * dt
     b = Buffers(x, v, stages[0], stages[1], stages[2:].reshape((3 * s, x.shape[1])))
     for step in range(steps):
         if p.leave[0] != 0:
             break
-        if extra is None:
-            take_stages(b, weights, 0, s, dt, step * dt, span, p, None)
-        else:
-            take_stages_interpreted(b, weights, 0, s, dt, step * dt, span, p, extra)
+        take_stages(b, weights, 0, s, dt, step * dt, span, p)
         combine(b, Stage(dt, dt, weights.aa[s], weights.a[s], s), x, v, p.threads)
         commit(x, v, (step + 1) / steps, p.bodies, p.bodies_on, p.threads)
 
@@ -181,8 +173,8 @@ class RungeKutta(Explicit):
         """Number of arrays (3, n) in `stages`: a stage, and all slopes."""
         return self.tableau.stages + 2
 
-    def loop_of(self, packed: Packed, extra: Extra) -> Any:
-        return partial(source_of(advance_runge_kutta, extra), weights=self.tableau.weights)
+    def steps_of(self, work: Work) -> Any:
+        return partial(advance_runge_kutta, weights=self.tableau.weights)
 
     def amplification(self, omega: float | Float, damping: float | Float, dt: float | Float) -> Float:
         return self.tableau.amplification(omega, damping, dt)

@@ -29,7 +29,7 @@ from nuno_integrators.implicit.linear_solve import (
 )
 from nuno_integrators.packing import parts, silence
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, evaluate
+from nuno_kernels.step.acceleration import Packed, call_each, evaluate
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.fabric import Bool, Float
 
@@ -217,20 +217,19 @@ def missing_force(a: Float, u: Float, vhat: Float, g: float, mass: Float, out: F
 
 
 def solve_stage(
-    st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float,
-    start: Float, limits: Limits,
-) -> tuple[bool, float]:  # fmt: skip
+    st: Stage, packed: Packed, xhat: Float, vhat: Float, g: float, s: float, start: Float, limits: Limits
+) -> tuple[bool, float]:
     """Solve for st.x, st.v from their present guess st.v; return whether it converged, and the residual [N].
 
     `start` (3, n) is where the cloth is now.
     """
-    result = _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+    result = _solve_stage(st, packed, xhat, vhat, g, s, start, limits)
     let_go(st, packed, result[0])
     return result
 
 
 def _solve_stage(
-    st: Stage, packed: Packed, extra: Extra, xhat: Float, vhat: Float, g: float, s: float, start: Float, limits: Limits
+    st: Stage, packed: Packed, xhat: Float, vhat: Float, g: float, s: float, start: Float, limits: Limits
 ) -> tuple[bool, float]:
     """Solve likewise, but leave stalled vertices held."""
     limit_approach(packed, g)
@@ -242,7 +241,7 @@ def _solve_stage(
     st.x += xhat
     _begin_apart(st, packed, xhat, g, s, start)
     st.solver.before[...], st.solver.follow = start, False
-    worst, slow = _evaluate(st, packed, extra, vhat, g, s), False
+    worst, slow = _evaluate(st, packed, vhat, g, s), False
     left, waited, least, stalled = float(limits.most), 0, np.inf, 0
     for turn in range(HELD_BACK * limits.most + 1):
         allowed = limits.residual * largest_force(st, packed) + _rounding(st, g)
@@ -254,20 +253,20 @@ def _solve_stage(
         if packed.leave[0] or spent or not np.isfinite(worst) or (stalled == STALLED and not limits.cut):
             break
         before = worst
-        if not _solve_newton(st, packed, extra, g, s, slow):
+        if not _solve_newton(st, packed, g, s, slow):
             st.v[...] = guess
-            return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+            return _solve_stage(st, packed, xhat, vhat, g, s, start, limits)
         unshortened = st.solver.linear.x.copy()
         shortened = any(call_each(packed, "bound", st.x, st.solver.linear.x, s, packed.threads))
         if shortened and st.solver.direct:
             st.solver.direct, st.solver.hindered = False, True
             st.v[...] = guess
-            return _solve_stage(st, packed, extra, xhat, vhat, g, s, start, limits)
+            return _solve_stage(st, packed, xhat, vhat, g, s, start, limits)
         st.solver.hindered = st.solver.hindered or shortened
         # Springs do not have the tension that the whole step predicts.
         st.solver.follow = not shortened
         left -= 0.0 if shortened else 1.0 / HELD_BACK if is_touched(st.solver) else 1.0
-        worst = _search(st, packed, extra, vhat, g, s)
+        worst = _search(st, packed, vhat, g, s)
         slow = worst > SLOW * before and not shortened
         # Waiting for bodies is no stall: the stage is solved already.
         stalled = 0 if worst < FALLS * least or worst <= allowed else stalled + int(shortened)
@@ -292,9 +291,9 @@ def limit_approach(packed: Packed, g: float) -> None:
     call_each(packed, "approach", 1.0 / g)
 
 
-def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, exact: bool) -> bool:
+def _solve_newton(st: Stage, packed: Packed, g: float, s: float, exact: bool) -> bool:
     """Compute the Newton step into st.solver.linear.x; return False if the stage is to be begun anew."""
-    _fill_diagonal(st, packed, extra, g, s)
+    _fill_diagonal(st, packed, g, s)
     st.counts.newton += 1
     done = solve_linear(st.solver, packed, st.x, 1.0 / g, st.residual, exact)
     for _ in range(FORESEEN if done and not st.solver.direct else 0):
@@ -308,11 +307,11 @@ def _solve_newton(st: Stage, packed: Packed, extra: Extra, g: float, s: float, e
     return done
 
 
-def compile_stage(st: Stage, packed: Packed, extra: Extra, x: Float, v: Float) -> None:
+def compile_stage(st: Stage, packed: Packed, x: Float, v: Float) -> None:
     """Compile what `solve_stage` needs, by solving for no force at (x, v)."""
     st.x[...], st.v[...] = x, v
-    _evaluate(st, packed, extra, st.v, 1.0, 0.0)
-    _fill_diagonal(st, packed, extra, 1.0, 0.0)
+    _evaluate(st, packed, st.v, 1.0, 0.0)
+    _fill_diagonal(st, packed, 1.0, 0.0)
     compile_solver(st.solver, packed, st.x)
     along(st.residual, st.solver.linear.x)
     largest_force(st, packed)
@@ -325,8 +324,8 @@ def _rounding(st: Stage, g: float) -> float:
     return 16.0 * EPSILON * (st.scale * place + float(st.mass.max(initial=0.0)) * speed / g)
 
 
-def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
-    evaluate(st.x, st.v, s, st.a, packed, extra)
+def _evaluate(st: Stage, packed: Packed, vhat: Float, g: float, s: float) -> float:
+    evaluate(st.x, st.v, s, st.a, packed)
     st.counts.evaluations += 1
     worst = float(missing_force(st.a, st.v, vhat, g, st.mass, st.residual))
     if not st.grips:
@@ -338,7 +337,7 @@ def _evaluate(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s:
     return float(np.sqrt((st.residual * st.residual).sum(axis=0).max(initial=0.0)))
 
 
-def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: float) -> float:
+def _search(st: Stage, packed: Packed, vhat: Float, g: float, s: float) -> float:
     """Step along the solution d in st.solver.linear.x, less far if the residual along it changes sign.
 
     For conservative forces residual.d is minus the slope of the step's energy along d, which a minimum makes 0: the
@@ -353,7 +352,7 @@ def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: f
         st.x += (share - gone) * d
         st.v += ((share - gone) / g) * d
         gone = share
-        worst = _evaluate(st, packed, extra, vhat, g, s)
+        worst = _evaluate(st, packed, vhat, g, s)
         after = along(st.residual, d)
         if st.solver.direct:
             after += turning_work(st.solver.before, st.x, d, packed)
@@ -364,28 +363,28 @@ def _search(st: Stage, packed: Packed, extra: Extra, vhat: Float, g: float, s: f
     return worst
 
 
-def _fill_diagonal(st: Stage, packed: Packed, extra: Extra, g: float, s: float) -> None:
+def _fill_diagonal(st: Stage, packed: Packed, g: float, s: float) -> None:
     """Write each vertex's own stiffness, and its inertia, into the matrix."""
     diagonal = st.solver.linear.own
     diagonal[:3] = st.mass / (g * g) + (packed.damping / g) * st.mass
     diagonal[3:] = 0.0
     if st.others is not None:
         diagonal[:3] = st.mass / (g * g)
-        _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), extra, g, s)
+        _add_others(st, st.others._replace(bodies_on=packed.bodies_on, damping=packed.damping), g, s)
     for grip in st.grips:
         grip.stiffen(diagonal, st.scale)
 
 
-def _add_others(st: Stage, others: Packed, extra: Extra, g: float, s: float) -> None:
+def _add_others(st: Stage, others: Packed, g: float, s: float) -> None:
     """Add each vertex's own stiffness, symmetric and without negative parts."""
     base, moved = np.empty_like(st.a), np.empty((3, *st.a.shape))
-    evaluate(st.x, st.v, s, base, others, extra)
+    evaluate(st.x, st.v, s, base, others)
     step = REACH * st.size
     for axis in range(3):
         x, v = st.x.copy(), st.v.copy()
         x[axis] += step
         v[axis] += step / g
-        evaluate(x, v, s, moved[axis], others, extra)
+        evaluate(x, v, s, moved[axis], others)
     st.counts.evaluations += 4
     add_stiffness(base, moved, st.mass / step, st.solver.linear.own)
 

@@ -25,7 +25,7 @@ from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, la
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Limits, Stage, compile_stage, limit_approach, make_stage, solve_stage
 from nuno_integrators.stability import measure_rates
-from nuno_kernels.step.acceleration import Extra, Packed, call_each, commit, evaluate
+from nuno_kernels.step.acceleration import Packed, call_each, commit, evaluate
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config
@@ -107,21 +107,21 @@ class Implicit(Compiled):
         by_differences = f"; without a matrix, by differences: {', '.join(names)}" if names else ""
         return super().about(system) + by_differences
 
-    def go(self, work: ImplicitWork, packed: Packed, extra: Extra, steps: int, dt: float) -> StepResult:
+    def go(self, work: ImplicitWork, packed: Packed, steps: int, dt: float) -> StepResult:
         work.stage.solver.counts = Counts()
         acting = [id(term) for term, on in zip(packed.bodies, packed.bodies_on, strict=True) if on]
         work.stage.grips = tuple(grip for grip in work.grips if id(grip.slides) in acting)
         taken, span = 0, steps * dt
         for step in range(steps):
-            done, residual = self._step(work, packed, extra, step * dt, dt, span, 0)
+            done, residual = self._step(work, packed, step * dt, dt, span, 0)
             taken += done
             if residual is not None:
                 message = f"a residual of {residual:.3g} N is left after steps of {dt / 2**MOST_HALVINGS:.2g} s"
                 return StepResult(taken, message, _totals(work.stage.counts, taken))
         return StepResult(taken, "", _totals(work.stage.counts, taken))
 
-    def compile(self, work: ImplicitWork, packed: Packed, extra: Extra) -> None:
-        compile_stage(work.stage, packed, extra, work.x, work.v)
+    def compile(self, work: ImplicitWork, packed: Packed) -> None:
+        compile_stage(work.stage, packed, work.x, work.v)
         for grip in work.grips:
             grip.begin(work.x, 0.0, 1.0)
             grip.enter(work.x, work.v.copy(), 1.0)
@@ -132,15 +132,15 @@ class Implicit(Compiled):
         kernel.compile(tuple(numba.typeof(value) for value in held))
 
     def _step(
-        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, depth: int
+        self, work: ImplicitWork, packed: Packed, start: float, h: float, span: float, depth: int
     ) -> tuple[int, float | None]:
         """Take one step, halved as often as needed; return the steps, and the residual of a failure, else None."""
         solver, limits = work.stage.solver, work.limits._replace(cut=depth >= CUT_FROM)
         solver.direct = solver.hindered = False
-        ok, residual = self._attempt_held(work, packed, extra, start, h, span, limits)
+        ok, residual = self._attempt_held(work, packed, start, h, span, limits)
         if not ok and depth == PATIENT_FROM and not packed.leave[0] and prefer_factors(solver):
             limits = limits._replace(most=PATIENCE * limits.most)
-            ok, residual = self._attempt_held(work, packed, extra, start, h, span, limits)
+            ok, residual = self._attempt_held(work, packed, start, h, span, limits)
         if ok:
             work.x[...], work.v[...] = work.stage.x, work.stage.v
             for grip in work.stage.grips:
@@ -152,15 +152,15 @@ class Implicit(Compiled):
         if depth == MOST_HALVINGS or packed.leave[0]:
             return 0, residual
         work.stage.counts.halvings += 1
-        first, failed = self._step(work, packed, extra, start, 0.5 * h, span, depth + 1)
+        first, failed = self._step(work, packed, start, 0.5 * h, span, depth + 1)
         if failed is not None:
             return first, failed
-        second, failed = self._step(work, packed, extra, start + 0.5 * h, 0.5 * h, span, depth + 1)
+        second, failed = self._step(work, packed, start + 0.5 * h, 0.5 * h, span, depth + 1)
         return first + second, failed
 
     def _attempt_held(
-        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
-    ) -> tuple[bool, float]:  # fmt: skip
+        self, work: ImplicitWork, packed: Packed, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
         """Call `attempt`, again while the set of vertices held on bodies changes."""
         st, v = work.stage, work.v.copy()
         for grip in st.grips:
@@ -168,7 +168,7 @@ class Implicit(Compiled):
         for turn in range(MOST_SETS):
             for grip in st.grips:
                 grip.enter(work.x, work.v, h)
-            ok, residual = self.attempt(work, packed, extra, start, h, span, limits)
+            ok, residual = self.attempt(work, packed, start, h, span, limits)
             work.v[...] = v
             if not ok or turn == MOST_SETS - 1:
                 break
@@ -178,15 +178,15 @@ class Implicit(Compiled):
         return ok, residual
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
-    ) -> tuple[bool, float]:  # fmt: skip
+        self, work: ImplicitWork, packed: Packed, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
         """Write the state after a step of h to work.stage; return whether it converged, and the residual [N]."""
         raise NotImplementedError
 
-    def step_at_rest(self, work: ImplicitWork, extra: Extra) -> Any:
-        def forces_only(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, force: Extra) -> None:
+    def steps_of(self, work: ImplicitWork) -> Any:
+        def forces_only(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
             for _ in range(steps):
-                evaluate(x, v, 0.0, stages[0], p, force)
+                evaluate(x, v, 0.0, stages[0], p)
 
         return forces_only
 
@@ -209,10 +209,10 @@ class ImplicitEuler(Implicit):
     order: ClassVar[int] = 1
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
-    ) -> tuple[bool, float]:  # fmt: skip
+        self, work: ImplicitWork, packed: Packed, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
         work.stage.v[...] = work.v
-        return solve_stage(work.stage, packed, extra, work.x, work.v, h, (start + h) / span, work.x, limits)
+        return solve_stage(work.stage, packed, work.x, work.v, h, (start + h) / span, work.x, limits)
 
 
 class TRBDF2(Implicit):
@@ -222,13 +222,13 @@ class TRBDF2(Implicit):
     order: ClassVar[int] = 2
 
     def attempt(
-        self, work: ImplicitWork, packed: Packed, extra: Extra, start: float, h: float, span: float, limits: Limits,
-    ) -> tuple[bool, float]:  # fmt: skip
+        self, work: ImplicitWork, packed: Packed, start: float, h: float, span: float, limits: Limits
+    ) -> tuple[bool, float]:
         """Solve both stages as x = x^ + g v, g = gamma h / 2: x^ = x + g v at first, then the backward formula's."""
         st, (xhat, vhat), g = work.stage, work.stages, 0.5 * GAMMA * h
         # Also for the forces at the start: they would else depend on the step before, which a checkpoint lacks.
         limit_approach(packed, g)
-        evaluate(work.x, work.v, start / span, st.a, packed, extra)
+        evaluate(work.x, work.v, start / span, st.a, packed)
         st.counts.evaluations += 1
         for grip in st.grips:
             st.a += packed.inverse_mass * grip.rub
@@ -237,7 +237,7 @@ class TRBDF2(Implicit):
         np.multiply(st.a, g, out=vhat)
         vhat += work.v
         st.v[...] = work.v
-        ok, residual = solve_stage(st, packed, extra, xhat, vhat, g, (start + GAMMA * h) / span, work.x, limits)
+        ok, residual = solve_stage(st, packed, xhat, vhat, g, (start + GAMMA * h) / span, work.x, limits)
         if not ok:
             return ok, residual
         first = st.missing.copy()
@@ -247,7 +247,7 @@ class TRBDF2(Implicit):
             np.subtract(middle, old, out=hat)
             hat *= near
             hat += old
-        result = solve_stage(st, packed, extra, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
+        result = solve_stage(st, packed, xhat, vhat, g, (start + h) / span, st.x.copy(), limits)
         # The whole step's force, by which both stages bring it from v to its end: at the end alone it oscillates.
         st.missing += near * first
         st.missing *= 0.5 * GAMMA

@@ -1,17 +1,15 @@
 """The whole acceleration a(x, v, t), compiled for just the terms that a scene has.
 
-`evaluate` is what every integrator's loop calls: the same source runs compiled, and in plain Python where a force
-is written in Python.
+`evaluate` is what every integrator's loop calls.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_kernels import block_kernel, shared_source
+from nuno_kernels import block_kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
@@ -23,13 +21,9 @@ place = each("place", "x, v, s")
 look_at = each("look", "x, v")
 add_after = each("after", "x, v, s, a, threads")
 settle_bodies = each("settle", "x, v, s, threads")
-hold_bodies = each("hold", "x, v, s, threads")
-slow_bodies = each("slow", "x, v, threads")
-credit_bodies = each("credit", "change")
-
-
-Extra = Callable[[Float, Float, float, Float], None] | None
-"""forces written in Python, None without any: extra(x, v, s, a) adds newtons to a (3, n)"""
+hold = each("hold", "x, v, s, threads")
+slow = each("slow", "x, v, threads")
+credit = each("credit", "change")
 
 
 @by_reference
@@ -43,7 +37,7 @@ class Packed(NamedTuple):
     bodies        terms that carry vertices, meet them or hold them, and (bodies,) which of them act
     threads       None: compiled for one thread; else how many run
     late          None: all forces go by blocks, and a block is finished while it is in the core's
-                  cache; True: bodies or Python add to the forces afterwards
+                  cache; True: bodies or forces in Python add to the forces afterwards
     velocity_matters  whether any force reads the velocity
     moved         whether bodies move vertices or friction's anchors after a step: an acceleration found before is
                   then not that of the next step's start
@@ -108,9 +102,7 @@ def step_block(
 
 
 @block_kernel
-def force_block(
-    block: int, p: Packed, t: float, dt: float, x: Float, v: Float, to_x: Float, to_v: Float
-) -> None:  # fmt: skip
+def force_block(block: int, p: Packed, t: float, dt: float, x: Float, v: Float, to_x: Float, to_v: Float) -> None:
     """Compute forces on a block's vertices at the time t [s], summed in the core's cache: a step of symplectic Euler
     into to_x, to_v (3, n), or, if dt is 0, accelerations into to_x, newtons if p.late. One function for both: each kind
     would compile all forces anew.
@@ -154,15 +146,10 @@ def finish(v: Float, a: Float, inverse_mass: Float, gravity: Float, damping: flo
     finish_blocks(v, a, inverse_mass, gravity, damping, (a.shape[1] + BLOCK - 1) // BLOCK, threads)
 
 
-@shared_source
-def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed, extra: Extra) -> None:
-    """Compute a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame.
-
-    `extra(x, v, s, a)` adds newtons to a; it needs plain Python, None does not.
-    """
+@block_kernel
+def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed) -> None:
+    """Compute a (3, n) = acceleration [m/s^2] at x, v (3, n) and fraction s of the frame."""
     add_forces(x, v, s, a, a, 0.0, p)
-    if extra is not None:
-        extra(x, v, s, a)
     if p.late is not None:
         finish(v, a, p.inverse_mass, p.gravity, p.damping, p.threads)
 
@@ -175,30 +162,12 @@ def settle(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, thre
 
 
 @block_kernel
-def hold(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
-    """Hold vertices that have moved up to fraction s of the frame off the bodies that they slide on."""
-    hold_bodies(bodies, on, x, v, s, threads)
-
-
-@block_kernel
-def slow(x: Float, v: Float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
-    """Hold velocities off the planes that hold the vertices since they were last held off."""
-    slow_bodies(bodies, on, x, v, threads)
-
-
-@block_kernel
-def credit(change: Float, bodies: tuple[Any, ...], on: Bool) -> None:
-    """Count a change of velocities (3, n) by which a method follows `commit` among the impulses of what holds them."""
-    credit_bodies(bodies, on, change)
-
-
-@block_kernel
 def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
     on, and update friction anchors on the others by where that leaves them.
     """
     place(bodies, on, x, v, s)
-    hold_bodies(bodies, on, x, v, s, threads)
+    hold(bodies, on, x, v, s, threads)
     settle_bodies(bodies, on, x, v, s, threads)
 
 
