@@ -20,26 +20,27 @@ from live_run import Run, start_long, wait_until
 from scenes import BALL, write_scene
 
 import nuno
-from nuno.bus.messages import PendingReply
+from nuno.bus.messages import Bus, PendingReply
 from nuno.bus.sessions import hub_at
 from nuno.cli import main
+from nuno.collision.bodies import Bodies, build_bodies
+from nuno.collision.messages import POSES_QUERY
 from nuno.plugin_contract import registry
-from nuno.recording.reader import control_events
+from nuno.recording.reader import control_events, open_recording
 from nuno.resimulation.verification import verify
 from nuno.runtime import supervisor
 from nuno.runtime import supervisor as oversight
-from nuno.runtime.driver import WINDOW
-from nuno.runtime.service import Context, Options
+from nuno.runtime.service import Options
 from nuno.runtime.supervisor import Deployment
 from nuno.scene import scene_file, shipped
+from nuno.scene.scene_file import Loaded
 from nuno.scene.warnings import scene_warnings
 from nuno.simulation.run import Simulation
-from nuno.simulation.service import ask_poses, take_poses
 from nuno_cloth.models.sheet import Sheet
 from nuno_contact.motions import keyframes
-from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric
+from nuno_schemas.messages import BODIES
 
 
 def test_threads_and_processes_end_in_the_same_bits(tmp_path: Path) -> None:
@@ -69,23 +70,25 @@ def test_a_scene_starts_only_the_services_it_needs(tmp_path: Path) -> None:
     assert nuno.run(write_scene(tmp_path, bodies=BALL)).report["services"] == ["simulation", "collision", "recorder"]
 
 
-def test_bodies_are_asked_for_as_far_ahead_as_steps_may_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each frame's once, in order, and none after the last."""
-    asked, ahead = list[int](), list[int]()
+def test_bodies_that_nobody_else_moves_are_not_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads share one set of them, and the recording has their poses of each frame."""
+    asked, built = list[str](), list[Bodies]()
+    ask, build = Bus.ask_ahead, build_bodies
 
-    def ask(context: Context, frame: int) -> PendingReply:
-        asked.append(frame)
-        return ask_poses(context, frame)
+    def note_query(bus: Bus, name: str, payload: bytes = b"", timeout: float = 10.0) -> PendingReply:
+        asked.append(name)
+        return ask(bus, name, payload, timeout)
 
-    def take(context: Context, frame: int, answer: PendingReply) -> Poses:
-        ahead.append(asked[-1] - frame)
-        return take_poses(context, frame, answer)
+    def note_bodies(loaded: Loaded) -> Bodies:
+        built.append(build(loaded))
+        return built[-1]
 
-    monkeypatch.setattr("nuno.simulation.service.ask_poses", ask)
-    monkeypatch.setattr("nuno.simulation.service.take_poses", take)
+    monkeypatch.setattr(Bus, "ask_ahead", note_query)
+    monkeypatch.setattr("nuno.collision.bodies.build_bodies", note_bodies)
     nuno.run(write_scene(tmp_path, bodies=BALL), record=tmp_path / "run.mcap")
-    assert asked == list(range(26))
-    assert ahead == [0, *(min(WINDOW, 25 - frame) for frame in asked[1:])]
+    assert POSES_QUERY not in asked and len(built) == 1
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert len(list(recording.messages([BODIES.name]))) == 26
 
 
 def frames_in(path: Path) -> int:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -24,6 +26,8 @@ class Bodies:
     movers: tuple[Mover | None, ...]
     notes: tuple[str, ...] = ()
     """Notes about the bodies for the user."""
+    loaded: Loaded | None = None
+    """Their scene."""
 
     def live(self) -> Iterator[tuple[str, tuple[str, ...], Live]]:
         """Yield name, joints and present pose of each live body."""
@@ -51,7 +55,21 @@ def build_bodies(loaded: Loaded) -> Bodies:
     each = zip(loaded.scene.bodies, movers, shapes, strict=True)
     notes = [f"{body.name}: {n}" for body, mover, shape in each for n in (mover.notes if mover else ()) + shape.notes]
     drawn = _geometry(loaded, [shape.shown for shape in shapes])
-    return Bodies(_geometry(loaded, shapes), drawn, tuple(movers), tuple(notes))
+    return Bodies(_geometry(loaded, shapes), drawn, tuple(movers), tuple(notes), loaded)
+
+
+_BUILT: WeakValueDictionary[int, Bodies] = WeakValueDictionary()
+"""Bodies in use, by the identity of their scene, which they keep."""
+_BUILDING = threading.Lock()
+
+
+def shared_bodies(loaded: Loaded) -> Bodies:
+    """Return a scene's bodies, built once for all services of a process. Raises BadInput."""
+    with _BUILDING:
+        bodies = _BUILT.get(id(loaded))
+        if bodies is None:
+            bodies = _BUILT[id(loaded)] = build_bodies(loaded)
+        return bodies
 
 
 def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:

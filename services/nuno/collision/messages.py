@@ -20,9 +20,9 @@ from pydantic import ValidationError
 
 from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arrays
 from nuno.bus.messages import WAITING_AFTER
-from nuno.plugin_contract.values import ContractError, check_field, check_layout, check_skins
+from nuno.plugin_contract.values import ContractError, check_layout, check_skins
 from nuno.runtime.service import Context
-from nuno_schemas.bodies import SKIN, DistanceField, Geometry, Poses, Skin
+from nuno_schemas.bodies import SKIN, Geometry, Poses, Skin
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 from nuno_schemas.live import BodyPoses, Live
@@ -287,24 +287,15 @@ def read_poses(payload: bytes, joints: tuple[str, ...]) -> tuple[Float, Float]:
 
 # Bodies on the bus: geometry once, poses per frame.
 
-GEOMETRY_QUERY = "collision/ask/geometry"
 DRAWN_QUERY = "collision/ask/drawn"
 POSES_QUERY = "collision/ask/poses"
 LIVE_BODIES_QUERY = "collision/ask/told"
 """Names of the queries; the reply about live bodies is JSON, `Followers.describe` by body."""
 
-NUMBERS = ("size", "tolerance", "band")
-"""Numbers of a distance field, besides its arrays."""
 
-
-def encode_geometry(geometry: Geometry, whole: bool = True) -> bytes:
-    """Encode a geometry; one that is not `whole` is only for drawing, and has no distance fields."""
-    arrays = arrays_of(geometry)
-    text: dict[str, Any] = {"bodies": geometry.bodies, "frames": geometry.frames, "fields": []}
-    for number, field in enumerate(geometry.fields if whole else ()):
-        text["fields"].append(None if field is None else {name: getattr(field, name) for name in NUMBERS})
-        if field is not None:
-            arrays |= arrays_of(field, f"field{number}.")
+def encode_geometry(geometry: Geometry) -> bytes:
+    """Encode a geometry for drawing, without distance fields."""
+    arrays, text = arrays_of(geometry), {"bodies": geometry.bodies, "frames": geometry.frames}
     for number, skin in enumerate(geometry.skins):
         arrays |= arrays_of(skin, f"skin{number}.")
     return encode_arrays(arrays, text)
@@ -314,18 +305,11 @@ def decode_geometry(payload: bytes) -> Geometry:
     """Decode a geometry. Raises BadMessage."""
     arrays, text = decode_arrays(payload)
     try:
-        plain = {name: values for name, values in arrays.items() if "." not in name}
-        fields = tuple(
-            None if numbers is None else DistanceField(**numbers, **_part(arrays, f"field{number}."))
-            for number, numbers in enumerate(text.get("fields", ()))
-        )
+        plain: dict[str, Any] = {name: values for name, values in arrays.items() if "." not in name}
         skins = tuple(Skin(**_part(arrays, f"skin{i}.")) for i in range(int((plain["kind"] == SKIN).sum())))
-        geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, fields=fields, skins=skins)
+        geometry = Geometry(tuple(text["bodies"]), tuple(text["frames"]), **plain, skins=skins)
         check_layout("", geometry)  # kernels do not check shapes and indices
         check_skins(geometry)
-        for number, field in enumerate(geometry.fields):
-            if field is not None:
-                check_field(f"fields[{number}]", field)
         return geometry
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise BadMessage(f"geometry without {error}") from None

@@ -9,12 +9,11 @@ import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message, Query
-from nuno.collision.bodies import NO_SURFACES, Bodies, build_bodies, surface
+from nuno.collision.bodies import NO_SURFACES, Bodies, shared_bodies, surface
 from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
 from nuno.collision.distance import Inside, least_distance, measure_inside
 from nuno.collision.messages import (
     DRAWN_QUERY,
-    GEOMETRY_QUERY,
     LIVE_BODIES_QUERY,
     POSES_QUERY,
     Followers,
@@ -164,18 +163,17 @@ class Collision:
         """(f, 3) triangles of the cloth."""
         self.met = context.loaded.scene.met_bodies if self.cloth is not None else []
         """Bodies of cloth contact, by number, which cloth enters only by crossings."""
+        if self.followers is not None:
+            self.poses(0)  # cached before the bodies move on
 
     def answer(self, query: Query) -> None:
-        """Answer a query for the geometry, the live bodies, or the poses of a frame."""
+        """Answer a query for the drawn bodies, the live ones, or the poses of a frame."""
         if self.bodies is None:
             self.inbox.refuse(query)
             query.refuse("the scene has no bodies")
             return
-        if query.name == GEOMETRY_QUERY:
-            query.answer(encode_geometry(self.bodies.geometry))
-            return
         if query.name == DRAWN_QUERY:
-            query.answer(encode_geometry(self.bodies.drawn, whole=False))
+            query.answer(encode_geometry(self.bodies.drawn))
             return
         if query.name == LIVE_BODIES_QUERY:
             live = self.followers.describe() if self.followers is not None else {}
@@ -259,9 +257,7 @@ class Collision:
         if GEOMETRY.name not in self.context.bus.publishers:
             for note in self.bodies.notes:
                 self.context.event("warning", note, header.frame, header.t)
-            self.context.bus.publisher(GEOMETRY).put(
-                encode_geometry(self.bodies.drawn, whole=False), header.frame, header.t
-            )
+            self.context.bus.publisher(GEOMETRY).put(encode_geometry(self.bodies.drawn), header.frame, header.t)
         self.context.bus.publisher(BODIES).put(self.poses(header.frame)[1], header.frame, header.t)
 
     def take(self, payload: bytes) -> None:
@@ -324,10 +320,9 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
     inbox = Inbox(context.bus, [CLOTH_AND_STATES])
-    collision = Collision(context, build_bodies(context.loaded) if scene.bodies else None, inbox)
+    collision = Collision(context, shared_bodies(context.loaded) if scene.bodies else None, inbox)
     for fields in before_checkpoint(context.options.resume, [PENETRATION.name]):
         collision.note(Penetration.model_validate(fields))
-    inbox.answer(GEOMETRY_QUERY)
     inbox.answer(DRAWN_QUERY)
     inbox.answer(LIVE_BODIES_QUERY)
     inbox.answer(POSES_QUERY)

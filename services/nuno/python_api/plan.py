@@ -111,7 +111,7 @@ def _recorded_size(simulation: Simulation) -> int:
     loaded, geometry, poses = simulation.loaded, simulation.geometry, simulation.poses
     once, each = [encode_arrays(*describe_fabric(simulation))], [simulation.encode()]
     if geometry is not None and poses is not None:
-        once.append(encode_geometry(geometry, whole=False))
+        once.append(encode_geometry(geometry))
         each += [encode_poses(poses, simulation.frame), bytes(REPORT)]
         if loaded.scene.record.contact_forces:
             contact, touches = feel(simulation)

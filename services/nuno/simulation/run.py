@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import decode_points, encode_points
-from nuno.collision.bodies import build_bodies, surface
+from nuno.collision.bodies import shared_bodies, surface
 from nuno.collision.crossings import find_crossings, mesh_of
 from nuno.collision.distance import body_distances
 from nuno.collision.messages import decode_poses
@@ -166,11 +166,11 @@ class Simulation(Stepper):
         self.alter_due()
 
     @classmethod
-    def with_bodies(cls, loaded: Loaded, threads: int = 0) -> Simulation:
-        """Return a simulation that moves the scene's bodies itself, without a collision service."""
+    def with_bodies(cls, loaded: Loaded, threads: int = 0, leave: NDArray[np.int64] | None = None) -> Simulation:
+        """Return a simulation that poses the scene's bodies itself; live ones as recorded, else where they start."""
         if not loaded.scene.bodies:
-            return cls(loaded, None, None, threads)
-        bodies, rate = build_bodies(loaded), loaded.scene.frame_rate
+            return cls(loaded, None, None, threads, leave)
+        bodies, rate = shared_bodies(loaded), loaded.scene.frame_rate
 
         def find(frame: int) -> Poses:
             if frame not in loaded.recorded_poses:
@@ -178,7 +178,7 @@ class Simulation(Stepper):
             with fitting(loaded):
                 return decode_poses(loaded.recorded_poses[frame], len(bodies.geometry.frames))
 
-        simulation = cls(loaded, bodies.geometry, find(0), threads)
+        simulation = cls(loaded, bodies.geometry, find(0), threads, leave)
         simulation.find_poses, simulation.body_notes = find, bodies.notes
         return simulation
 
@@ -232,8 +232,11 @@ class Simulation(Stepper):
 
     def step(self) -> Stepped:
         """Step one frame, with the bodies at the poses of `find_poses`."""
+        begin = time.perf_counter()
         end = self.find_poses(self.frame + 1)
+        posed = time.perf_counter() - begin
         frame = self.advance(self.poses, end)
+        frame.seconds += posed
         self.before, self.poses = self.poses, end
         return frame
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,10 +15,10 @@ from nuno.bus.encodings import encode_arrays
 from nuno.bus.messages import PendingReply, Refused, pauses
 from nuno.bus.sessions import PATIENCE
 from nuno.collision.bodies import vertex_normals
-from nuno.collision.messages import GEOMETRY_QUERY, POSES_QUERY, decode_geometry, decode_poses
+from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.plugin_contract import registry
 from nuno.recording.reader import SETTLED, Recording, before_checkpoint, open_recording, settled_cloth
-from nuno.runtime.driver import CONTROL, WINDOW, Driver
+from nuno.runtime.driver import CONTROL, Driver
 from nuno.runtime.service import Context, FrameWatchdog
 from nuno.runtime.stepper import RECORDED, Stepped, require_recorded, resume
 from nuno.simulation.cloth import size_warnings
@@ -36,75 +35,48 @@ from nuno.simulation.yarns import (
     structural_edges,
     tension_arrays,
 )
-from nuno_schemas.bodies import Geometry, Poses
+from nuno_schemas.bodies import Poses
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Fabric, Float, Int
 from nuno_schemas.messages import BODIES, CONTACT, EVENT, FABRIC, STATUS, TOUCHES, BodyContact, Contact
 from nuno_schemas.system import StepReport
 from nuno_schemas.vectors import vertex_areas
 
-# Queries to the collision service: geometry of the bodies, and their poses in each frame.
+# Poses of bodies that other programs move: queries to the collision service. All other bodies are posed here.
 
 
-def ask_geometry(context: Context) -> Geometry:
-    """Return the bodies of a run, once their service is alive. Raises RunFailed if the supervisor is gone.
-
-    The supervisor limits the wait, and then goes: the service may have to build a distance field.
-    """
-    while context.watch.wait_for({"collision"}, 0.1):
-        context.require_supervisor()
-    return decode_geometry(context.bus.ask(GEOMETRY_QUERY))
-
-
-def ask_poses(context: Context, frame: int) -> PendingReply:
-    """Send the query for a frame's poses."""
-    return context.bus.ask_ahead(POSES_QUERY, json.dumps({"frame": frame}).encode(), PATIENCE)
-
-
-def take_poses(context: Context, frame: int, reply: PendingReply) -> Poses:
-    """Wait for the poses of a frame; a long wait is logged as a warning.
-
-    The service replies between two measurements, which may be slow on a busy machine, and a query sent ahead waits
-    while the cloth steps. The supervisor notices a service that dies.
-    """
-
-    def warn() -> None:
-        limit = f"given up after {PATIENCE:g} s"
-        context.event("warning", f"waiting for the collision service: no bodies of frame {frame} yet ({limit})")
-
-    return decode_poses(reply.answer(warn))
-
-
-class PosesAhead:
-    """Poses of the next frames, queried before the steps need them.
-
-    The collision service replies between two measurements, and several queries at once share one round trip.
-    """
+class LivePoses:
+    """Poses of live bodies at the end of the next frame, which other programs send to the collision service."""
 
     def __init__(self, context: Context) -> None:
-        self._context, self._frames = context, context.loaded.scene.frames
-        self._ahead = 0 if context.loaded.live else WINDOW
-        """Frames beyond the next one to query; 0 for bodies that are moved from outside, whose poses come later."""
-        self._replies: deque[PendingReply] = deque()
+        self._context = context
+        self._reply: PendingReply | None = None
 
     def arrived(self, frame: int) -> bool:
         """Return whether the poses of the next frame have arrived, after a query if none is out. Raises Refused where
         none will come, RunFailed where the service is gone.
         """
-        self._ask(frame)
-        reply = self._replies[0]
+        reply = self._ask(frame)
         if arrived := reply.arrived():
             reply.answer()
         return arrived
 
     def take(self, frame: int) -> Poses:
-        """Return the poses of the next frame. Raises RunFailed where they do not come."""
-        self._ask(frame)
-        return take_poses(self._context, frame, self._replies.popleft())
+        """Return the poses of a frame; a long wait is logged as a warning. Raises RunFailed where they do not come."""
+        reply = self._ask(frame)
+        self._reply = None
 
-    def _ask(self, frame: int) -> None:
-        for ahead in range(frame + len(self._replies), min(frame + self._ahead, self._frames) + 1):
-            self._replies.append(ask_poses(self._context, ahead))
+        def warn() -> None:
+            limit = f"given up after {PATIENCE:g} s"
+            text = f"waiting for the collision service: no bodies of frame {frame} yet ({limit})"
+            self._context.event("warning", text)
+
+        return decode_poses(reply.answer(warn))
+
+    def _ask(self, frame: int) -> PendingReply:
+        if self._reply is None:
+            self._reply = self._context.bus.ask_ahead(POSES_QUERY, json.dumps({"frame": frame}).encode(), PATIENCE)
+        return self._reply
 
 
 NOW = "sim/ask/now"
@@ -117,11 +89,13 @@ and than that of the run's end."""
 class ClothDriver(Driver):
     """Runs a simulation frame by frame and replies to control requests."""
 
-    def __init__(self, context: Context, simulation: Simulation, watchdog: FrameWatchdog) -> None:
+    def __init__(
+        self, context: Context, simulation: Simulation, watchdog: FrameWatchdog, live: LivePoses | None
+    ) -> None:
         super().__init__(context, simulation, watchdog)
-        self.simulation = simulation
-        self.bodies = PosesAhead(context)
-        self.seconds |= {"bodies": 0.0} | ({"contact forces": 0.0} if self.scene.record.contact_forces else {})
+        self.simulation, self.live = simulation, live
+        waits = {"bodies": live is not None, "contact forces": self.scene.record.contact_forces}
+        self.seconds |= {name: 0.0 for name, present in waits.items() if present}
         self.answers[NOW] = self.encode_now
         self.inbox.answer(NOW)
         self.counts: dict[str, int] = {}
@@ -133,8 +107,6 @@ class ClothDriver(Driver):
         self.rest: dict[str, float] = {}
         self.warnings: list[str] = []
         """Warnings about the start of the cloth, and about cloth that stands still."""
-        if simulation.poses is not None:
-            simulation.find_poses = self.next_poses
         if simulation.frame == 0:
             bodies = simulation.geometry, simulation.poses
             self.warnings = size_warnings(simulation.loaded, simulation.pieces, simulation.state.x)
@@ -201,23 +173,16 @@ class ClothDriver(Driver):
 
     def ready(self) -> bool:
         """Wait for the poses of bodies that are moved from outside; the run fails if they do not come in time."""
-        if not self.context.loaded.live:
+        if self.live is None:
             return True
         start, pause, frame = time.perf_counter(), pauses(), self.simulation.frame + 1
         try:
-            while not self.bodies.arrived(frame) and self.finish is None and self.state == "running":
+            while not self.live.arrived(frame) and self.finish is None and self.state == "running":
                 self.listen(next(pause))
         except Refused as error:
             self.state, self.message = "failed", error.reason
         self.seconds["bodies"] += time.perf_counter() - start
         return self.finish is None and self.state == "running"
-
-    def next_poses(self, frame: int) -> Poses:
-        """Return the poses at the end of the next frame."""
-        start = time.perf_counter()
-        poses = self.bodies.take(frame)
-        self.seconds["bodies"] += time.perf_counter() - start
-        return poses
 
     def status_of(self, frame: Stepped) -> dict[str, Any]:
         """Return energy, stretch and size of the wrinkles, and keep them for the report."""
@@ -354,8 +319,6 @@ def _require_same_poses(recording: Recording, simulation: Simulation) -> None:
 
 def main(context: Context) -> None:
     """Simulate one run: prepare, wait for the start, step through the frames, answer the end."""
-    geometry = ask_geometry(context) if context.loaded.scene.bodies else None
-    poses = take_poses(context, 0, ask_poses(context, 0)) if geometry is not None else None
     earlier: list[dict[str, Any]] = []
     if context.options.resume is not None:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
@@ -363,20 +326,24 @@ def main(context: Context) -> None:
             earlier = before_checkpoint(recording, [STATUS.name, f"{EVENT.name}/simulation"])
 
     watchdog = FrameWatchdog(context)
-    simulation = Simulation(context.loaded, geometry, poses, context.options.threads, watchdog.leave)
-    if geometry is not None:
-        simulation.find_poses = lambda frame: take_poses(context, frame, ask_poses(context, frame))
-    if context.loaded.scene.record.contact_forces and geometry is not None:
+    simulation = Simulation.with_bodies(context.loaded, context.options.threads, watchdog.leave)
+    live = None
+    if context.loaded.live:
+        while context.watch.wait_for({"collision"}, 0.1):
+            context.require_supervisor()
+        live = LivePoses(context)
+        simulation.find_poses = live.take
+    if context.loaded.scene.record.contact_forces and simulation.geometry is not None:
         require_touched(simulation)
     if context.options.resume is not None:
         with open_recording(context.options.resume) as recording:
             resume(simulation, context.options.resume)
             require_recorded(recording, FABRIC, _constant_arrays(simulation.fabric))
-            if geometry is not None and not context.loaded.live:
+            if simulation.geometry is not None and live is None:
                 _require_same_poses(recording, simulation)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it
     simulation.rehearse()
-    driver = ClothDriver(context, simulation, watchdog)
+    driver = ClothDriver(context, simulation, watchdog, live)
     driver.recall(earlier)
     driver.serve()
 

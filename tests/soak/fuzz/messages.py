@@ -175,7 +175,7 @@ def _asked(make: Callable[[Context], Callable[[Query], None]], folder: Path) -> 
 
 def _control(context: Context) -> Callable[[Query], None]:
     simulation = Simulation(context.loaded, None, None, 1)
-    driver = ClothDriver(context, simulation, FrameWatchdog(context))
+    driver = ClothDriver(context, simulation, FrameWatchdog(context), None)
 
     def answer(question: Query) -> None:
         said = driver.control(question.json())
