@@ -23,15 +23,13 @@ def multiply(p: Float, q: Float) -> Float:
     """Return the product p q: first q turns, then p."""
     w0, x0, y0, z0 = (p[..., i] for i in range(4))
     w1, x1, y1, z1 = (q[..., i] for i in range(4))
-    return np.stack(
-        [
-            w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1,
-            w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1,
-            w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1,
-            w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1,
-        ],
-        axis=-1,
-    )
+    w = w0 * w1 - x0 * x1 - y0 * y1 - z0 * z1
+    product = np.empty((*np.shape(w), 4))
+    product[..., 0] = w
+    product[..., 1] = w0 * x1 + x0 * w1 + y0 * z1 - z0 * y1
+    product[..., 2] = w0 * y1 - x0 * z1 + y0 * w1 + z0 * x1
+    product[..., 3] = w0 * z1 + x0 * y1 - y0 * x1 + z0 * w1
+    return product
 
 
 def invert(q: Float) -> Float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -14,6 +14,9 @@ from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Pos
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.live import Live
 from nuno_schemas.plugin import BodyShape, Mover
+
+KEPT = 16
+"""Times whose poses are kept: more frames than the simulation runs ahead."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class Bodies:
     """Notes about the bodies for the user."""
     loaded: Loaded | None = None
     """Their scene."""
+    _posed: dict[float, Poses] = field(default_factory=dict, repr=False, compare=False)
+    """Poses of the last few times, if no other program moves a body."""
 
     def live(self) -> Iterator[tuple[str, tuple[str, ...], Live]]:
         """Yield name, joints and present pose of each live body."""
@@ -36,7 +41,17 @@ class Bodies:
                 yield name, mover.joints, mover.live
 
     def poses(self, t: float) -> Poses:
-        """Return the poses of all frames at time t [s]."""
+        """Return the poses of all frames at time t [s]; services of one process compute each once."""
+        poses = self._posed.get(t)
+        if poses is None:
+            poses = self._pose(t)
+            if not any(self.live()):
+                self._posed[t] = poses
+                for earlier in tuple(self._posed)[:-KEPT]:
+                    self._posed.pop(earlier, None)
+        return poses
+
+    def _pose(self, t: float) -> Poses:
         parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in self.movers]
         return Poses(t, np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts]))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message, Query
-from nuno.collision.bodies import NO_SURFACES, Bodies, shared_bodies, surface
+from nuno.collision.bodies import KEPT, NO_SURFACES, Bodies, shared_bodies, surface
 from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
 from nuno.collision.distance import Inside, least_distance, measure_inside
 from nuno.collision.messages import (
@@ -137,8 +137,6 @@ class ClothCheck:
 
 CLOTH_AND_STATES = Topic("sim/*", "json", "")
 """One subscription for both, in which each cloth, also a changed one, arrives before its first state."""
-KEPT = 16
-"""Frames whose poses are cached: more than the simulation runs ahead."""
 
 
 class Collision:
@@ -149,7 +147,8 @@ class Collision:
         self.rate, self.frames = context.loaded.scene.frame_rate, context.loaded.scene.frames
         self.seconds = 0.0
         self.deepest = self.last = self.area = self.area_depth = 0.0
-        self.cache: dict[int, tuple[Poses, bytes]] = {}
+        self.cache: dict[int, Poses] = {}
+        """Poses of live bodies in the last few frames."""
         self.followers: Followers | None = None
         if bodies is not None and context.loaded.live:
             self.followers = Followers(context, bodies.live(), inbox.wake)
@@ -191,7 +190,7 @@ class Collision:
         if self.followers is not None and self._is_pending(frame):
             self.waiting.append(query)
             return
-        query.answer(self.poses(frame)[1])
+        query.answer(encode_poses(self.poses(frame), frame))
 
     def between(self) -> float:
         """Answer waiting queries if the poses have arrived, or their time is over; return the wait for that [s]."""
@@ -201,7 +200,8 @@ class Collision:
             return min(left, LOOK_SECONDS)
         queries, self.waiting = self.waiting, []
         try:
-            payload = self.poses(self.followed + 1)[1]
+            frame = self.followed + 1
+            payload = encode_poses(self.poses(frame), frame)
         except RunFailed as error:  # the simulation ends the run after the present frame
             for query in queries:
                 query.refuse(str(error))
@@ -210,14 +210,14 @@ class Collision:
                 query.answer(payload)
         return LOOK_SECONDS
 
-    def poses(self, frame: int) -> tuple[Poses, bytes]:
-        """Return the poses of a frame, and their message; a cache keeps the last few, which are encoded once."""
+    def poses(self, frame: int) -> Poses:
+        """Return the poses of a frame."""
+        assert self.bodies is not None
+        if self.followers is None:
+            return self.bodies.poses(frame / self.rate)
         if frame not in self.cache:
-            assert self.bodies is not None
-            if self.followers is not None:
-                self._follow(self.bodies, self.followers, frame)
-            poses = self.bodies.poses(frame / self.rate)
-            self.cache[frame] = poses, encode_poses(poses, frame)
+            self._follow(self.bodies, self.followers, frame)
+            self.cache[frame] = self.bodies.poses(frame / self.rate)
             while len(self.cache) > KEPT:
                 del self.cache[next(iter(self.cache))]
         return self.cache[frame]
@@ -258,7 +258,8 @@ class Collision:
             for note in self.bodies.notes:
                 self.context.event("warning", note, header.frame, header.t)
             self.context.bus.publisher(GEOMETRY).put(encode_geometry(self.bodies.drawn), header.frame, header.t)
-        self.context.bus.publisher(BODIES).put(self.poses(header.frame)[1], header.frame, header.t)
+        payload = encode_poses(self.poses(header.frame), header.frame)
+        self.context.bus.publisher(BODIES).put(payload, header.frame, header.t)
 
     def take(self, payload: bytes) -> None:
         """Replace the cloth by that of a message, the first one or a changed one. Raises BadMessage."""
@@ -282,7 +283,7 @@ class Collision:
         start = time.perf_counter()
         found, poses = Inside(np.zeros(len(points)), 0.0, 0.0), None
         if self.bodies is not None:
-            poses = self.poses(header.frame)[0]
+            poses = self.poses(header.frame)
             faces = self.faces if len(points) > self.faces.max(initial=-1) else self.faces[:0]
             found = measure_inside(points, faces, self.bodies.geometry, poses, self.met)
         depth, inside = found.depth, found.depth > 0.0
@@ -304,6 +305,10 @@ class Collision:
         self.seconds += report.seconds
         self.context.bus.publisher(PENETRATION).put(report.model_dump_json().encode(), header.frame, header.t)
         self.context.acknowledge(header.frame, header.t)
+        if (
+            self.bodies is not None and self.followers is None
+        ):  # while the cloth steps, for a simulation in this process
+            self.bodies.poses((header.frame + 2) / self.rate)
 
     def note(self, report: Penetration) -> None:
         """Add a frame's results to those of all frames."""
