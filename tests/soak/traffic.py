@@ -35,7 +35,7 @@ def template(size: int) -> tuple[bytes, bytes]:
     """What comes before and after the counter in a `sim/state` message of about `size` bytes."""
     rng = np.random.default_rng(0)
     mark = np.frombuffer(COUNTER, np.float32).astype(np.float64)
-    points = encode_points(np.vstack([rng.random((max(1, size // POINT_BYTES - 11), 3)), mark]), 0.0)
+    points = bytes(encode_points(np.vstack([rng.random((max(1, size // POINT_BYTES - 11), 3)), mark]), 0.0))
     head, _, tail = points.partition(COUNTER)
     return head, tail
 

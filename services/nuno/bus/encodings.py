@@ -158,6 +158,10 @@ def _varint(payload: bytes, at: int) -> tuple[int, int]:
     raise BadMessage(f"no protobuf message: cut at byte {len(payload)}")
 
 
+POINTS_FIELD = 6
+"""Number of a point cloud's field `data`, the last one."""
+
+
 @functools.cache
 def _point_cloud_fields() -> Any:
     from foxglove import messages
@@ -173,27 +177,32 @@ def origin_of(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.round(x[0]) if len(x) and np.isfinite(x[0]).all() else np.zeros(3)
 
 
-def encode_points(x: NDArray[np.float64], t: float) -> bytes:
-    """Encode positions (n, 3) [m] as foxglove.PointCloud, float32 about `origin_of` them, which is the cloud's pose."""
+def encode_points(x: NDArray[np.float64], t: float) -> bytearray:
+    """Encode positions (n, 3) [m] as foxglove.PointCloud, float32 about `origin_of` them, which is the cloud's pose.
+
+    They are rounded where they lie in the message: its class would copy them twice.
+    """
     from foxglove import messages
 
     origin = origin_of(x)
-    with np.errstate(over="ignore"):  # a diverging run's last frame may not fit; it is kept as inf
-        points = np.subtract(x, origin, out=np.empty(x.shape, np.float32), casting="same_kind")
     seconds, nanos = divmod(round(t * 1e9), 10**9)
     pose = messages.Pose(
         position=messages.Vector3(x=float(origin[0]), y=float(origin[1]), z=float(origin[2])),
         orientation=messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
     )
-    cloud: bytes = messages.PointCloud(
-        timestamp=messages.Timestamp(sec=seconds, nsec=nanos),
-        frame_id="world",
-        pose=pose,
-        point_stride=12,
-        fields=_point_cloud_fields(),
-        data=points.tobytes(),
-    ).encode()
-    return cloud
+    stamp = messages.Timestamp(sec=seconds, nsec=nanos)
+    cloud = messages.PointCloud(
+        timestamp=stamp, frame_id="world", pose=pose, point_stride=12, fields=_point_cloud_fields(), data=b""
+    )
+    payload = bytearray(cloud.encode())
+    if x.size:
+        payload += field_header(POINTS_FIELD, 4 * x.size)
+        start = len(payload)
+        payload += bytes(4 * x.size)
+        with np.errstate(over="ignore"):  # a diverging run's last frame may not fit; it is kept as inf
+            points = np.frombuffer(payload, np.float32, offset=start).reshape(x.shape)
+            np.subtract(x, origin, out=points, casting="same_kind")
+    return payload
 
 
 @functools.cache

@@ -183,7 +183,7 @@ def _first_difference(
                 return found
     for message in (m for m in messages if m.topic == stepper.published.name):
         with recording.damage_reported(message):
-            here, there = stepper.decode(stepper.encode()), stepper.decode(message.payload)
+            here, there = stepper.decode(bytes(stepper.encode())), stepper.decode(message.payload)
         if found := _compare(stepper, here, there, "published"):
             return found
     return None
