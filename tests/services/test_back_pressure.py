@@ -187,20 +187,19 @@ def test_a_slow_collision_service_is_waited_for(
 ) -> None:
     monkeypatch.setattr("nuno.bus.messages.WAITING_AFTER", 0.2)
     monkeypatch.setattr(driver, "WAITING_AFTER", 0.2)
-    monkeypatch.setattr("nuno.simulation.service.PATIENCE", 1.0)
-    real = Collision.poses
+    monkeypatch.setattr(driver, "PATIENCE", 1.0)
+    real = Collision.measure
 
-    def slow(collision: Collision, frame: int) -> object:
-        if frame == 20 and frame not in collision.cache:
+    def slow(collision: Collision, message: Message) -> None:
+        if message.header.frame == 20:
             time.sleep(pause)
-        return real(collision, frame)
+        real(collision, message)
 
-    monkeypatch.setattr(Collision, "poses", slow)
+    monkeypatch.setattr(Collision, "measure", slow)
     watched = Watched(tmp_path, bodies=BALL)
     outcome = watched.supervise()
-    # Whichever comes first: its answer is missing, or, for it is asked ahead, its word that it has seen a frame.
     waiting = [text for text in watched.said if text.startswith("waiting for the collision service: ")]
-    assert waiting and ("no bodies of frame" in waiting[0] or "is not acknowledged yet" in waiting[0]), watched.said
+    assert waiting and "is not acknowledged yet" in waiting[0], watched.said
     assert outcome.state == ends
     if ends == "failed":
-        assert outcome.error == "the run gave up: no answer from collision/ask/poses within 1 s"
+        assert outcome.error == "the run gave up: the collision service has not acknowledged frame 20 within 1 s"

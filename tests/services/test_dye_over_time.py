@@ -282,7 +282,7 @@ def test_what_is_added_at_the_start_acts_as_if_the_scene_had_it(
     data["phi"][:, 3:8] = 0.0
     own, added = start(tmp_path, {place: [item]}, data=data), start(tmp_path, data=data)
     without = start(tmp_path, data=data)
-    assert added.add(said(place, item)) == f"dye.cloth.{place}[0]"
+    assert added.add(said(place, item))["field"] == f"dye.cloth.{place}[0]"
     for _ in range(6):
         digests = {own.advance().digest, added.advance().digest}
         without.advance()

@@ -179,7 +179,7 @@ def test_a_dye_that_does_not_answer_does_not_end_the_run(tmp_path: Path, monkeyp
         return before(self)
 
     monkeypatch.setattr(DyeRun, "advance", advance)
-    monkeypatch.setattr("nuno.simulation.service.DYE_TIMEOUT", 0.05)
+    monkeypatch.setattr("nuno.runtime.driver.FOLLOWER_TIMEOUT", 0.05)
     run = Run(write(tmp_path, duration=400.0), tmp_path / "long.mcap")
     assert run.moved.wait(60)
     slow.set()

@@ -66,8 +66,8 @@ class DyeRun(Stepper):
         check_picture(loaded, self.cells)
         self._resist = self.cells.resist
         """B of the scene; dyed cells may have less of a resist that was added later."""
-        self.resisted = False
-        """Whether B has changed since the start."""
+        self.resisted = 0
+        """Number of changes of B since the start."""
         laws = [law.plugin.prepare(law.config) if law is not None else None for law in chosen.isotherms]
         dyes = (
             # D_ab / d^2 is a rate of yarn and liquor, whatever the size of the cells they are cut into.
@@ -207,9 +207,9 @@ class DyeRun(Stepper):
         """Return how the solver's kernels run, in words."""
         return str(self._solver.plugin.about(self.system))
 
-    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
         """Return arrays and text of a checkpoint, with the account of supplies, and B where it has changed."""
-        arrays, text = super().whole()
+        arrays, text = super().whole(digest)
         resist = {"resist": self.cells.resist} if self.resisted else {}
         return arrays | resist, self._text() | text | {"supply": self.supplies.save(self.frame * self.steps)}
 
@@ -236,8 +236,8 @@ class DyeRun(Stepper):
             if event.frame == point.frame:
                 self.add(str(event.args["item"]))
 
-    def add(self, item: str) -> str:
-        """Add a supply or resist, `supply: {kind: drop, ...}`; return its field in the scene.
+    def add(self, item: str) -> dict[str, Any]:
+        """Add a supply or resist, `supply: {kind: drop, ...}`; return its field in the scene, and its value there.
 
         Raises BadInput, without any change.
         """
@@ -261,11 +261,11 @@ class DyeRun(Stepper):
             self._resist = after
         self.memory = self._prepare(self.supplies)
         self.loaded = loaded
-        return field
+        return {"field": field, "new": loaded.value(field)}
 
     def change_resist(self, resist: Float) -> None:
         """Replace the cells' B (2, ny, nx), with room for their content; the memory has to be prepared afterwards."""
-        self.resisted = True
+        self.resisted += 1
         self.cells = replace(self.cells, resist=resist)
         self.system = replace(self.system, cells=self.cells)
         self.supplies.change_room(self.cells.mobile_room)

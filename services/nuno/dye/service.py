@@ -8,33 +8,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.bus.encodings import encode_arrays
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import before_checkpoint, open_recording
 from nuno.runtime.driver import Driver
 from nuno.runtime.service import Context, FrameWatchdog
 from nuno.runtime.stepper import Stepped, require_recorded, resume
 from nuno_schemas.dye import Cells
-from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS
+from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS, Topic
 
 
-class DyeDriver(Driver):
-    """Runs a dyeing frame by frame: leads and answers control requests, or follows the dyed garment's simulation."""
+class DyeAccount:
+    """What is told of a dyeing: its cloth, its amounts, their balance (nuno.runtime.driver.Account)."""
 
-    def __init__(self, context: Context, dyeing: DyeRun, watchdog: FrameWatchdog) -> None:
-        super().__init__(context, dyeing, watchdog, STATUS if context.loaded.scene.moves else None)
+    def __init__(self, dyeing: DyeRun) -> None:
         self.dyeing = dyeing
-        if (every := self.scene.record.dye_every) is not None:
-            self.every = self.scene.in_frames(every)
+        self.warnings: list[str] = []
+        scene = dyeing.loaded.scene
+        self.every = 1 if scene.record.dye_every is None else scene.in_frames(scene.record.dye_every)
         self.balance = 0.0
         self.amounts: dict[str, dict[str, float | None]] = {}
 
-    def publish_constant(self) -> None:
-        """Publish the cloth."""
-        self.publish_cloth()
+    @property
+    def version(self) -> int:
+        """Number of changes of the resist so far."""
+        return self.dyeing.resisted
 
-    def publish_cloth(self) -> None:
-        """Publish the cloth's data for viewers and recordings, at the start and after a change."""
+    def constant(self, frame: int) -> tuple[Topic, dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the cloth's data for viewers and recordings."""
         dyeing, cells = self.dyeing, self.dyeing.cells
         arrays = _constant_arrays(cells)
         if cells.yarns is not None:
@@ -43,17 +43,18 @@ class DyeDriver(Driver):
             arrays |= {"weft_colour": cells.ground[0], "warp_colour": cells.ground[1]}
         if cells.photograph is not None:
             arrays |= {"photograph": cells.photograph.light, "photograph_warp": cells.photograph.warp}
-        text = {"scene": self.scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
-        text["object"] = self.scene.dye.object if self.scene.dye is not None else None
-        self._put(CLOTH, encode_arrays(arrays, text))
+        scene = dyeing.loaded.scene
+        text = {"scene": scene.name, "cell_size": cells.size, "v_max": cells.v_max, "dyes": dyeing.names}
+        text["object"] = scene.dye.object if scene.dye is not None else None
+        return CLOTH, arrays, text
 
-    def add(self, item: str) -> dict[str, Any]:
-        """Add an item to the running scene; publish a cloth with another resist again."""
-        resist = self.dyeing.cells.resist
-        change = super().add(item)
-        if self.dyeing.cells.resist is not resist:
-            self.publish_cloth()
-        return change
+    def loads(self) -> tuple[tuple[Topic, bytes], ...]:
+        """Dye bears on no body."""
+        return ()
+
+    def takes(self, item: str) -> bool:
+        """Nothing follows dye."""
+        return True
 
     def status_of(self, frame: Stepped) -> dict[str, Any]:
         """Return the time of the dyeing, and totals of the amounts."""
@@ -67,7 +68,7 @@ class DyeDriver(Driver):
         }
         return {"time": dyeing.time, "balance": _finite(balance), **self.amounts}
 
-    def facts(self, ended: str) -> dict[str, Any]:
+    def facts(self, ended: str, seconds: float) -> dict[str, Any]:
         """Return amounts, balance, limit and sizes for the report."""
         dyeing = self.dyeing
         return {
@@ -116,7 +117,7 @@ def main(context: Context) -> None:
         resume(dyeing, context.options.resume)
         with open_recording(context.options.resume) as recording:
             require_recorded(recording, CLOTH, _constant_arrays(dyeing.cells))
-    driver = DyeDriver(context, dyeing, watchdog)
+    account = DyeAccount(dyeing)
     balances = [one["balance"] for one in before_checkpoint(context.options.resume, [DYE_STATUS.name])]
-    driver.balance = math.nan if None in balances else max([0.0, *balances])
-    driver.serve()
+    account.balance = math.nan if None in balances else max([0.0, *balances])
+    Driver(context, dyeing, account, watchdog, STATUS if context.loaded.scene.moves else None).serve()

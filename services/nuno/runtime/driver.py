@@ -7,17 +7,16 @@ that the leader has finished, and acknowledges it like any lockstep subscriber, 
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol
 
 from pydantic import ValidationError
 
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query
+from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query, Refused, pauses
 from nuno.bus.sessions import PATIENCE
 from nuno.recording.reader import describe_changes
-from nuno.recording.recorded import Checkpoint
+from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.runtime.service import LOOK_SECONDS, Context, FrameWatchdog, ack_topic, asks_to_finish
 from nuno.runtime.stepper import Stepped, Stepper
 from nuno_schemas.errors import BadInput, RunFailed
@@ -79,24 +78,73 @@ LEFT = "left"
 OVER = ("stopped", "failed")
 """States that end a run between two frames."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
+FOLLOWER_TIMEOUT = 20.0
+"""Timeout for the reply of a service that follows [s], which finishes its frame first: shorter than that of the
+client's own query, and than that of the run's end."""
 
 
-class Driver(ABC):
-    """Steps cloth or dye frame by frame, publishes it and replies to control requests."""
+class Account(Protocol):
+    """What is told of cloth or dye while it is stepped: in messages of its own, in statuses, in the report."""
 
-    every = 1
+    warnings: list[str]
+    """About the start and the run so far; those that are added become events."""
+    every: int
     """Interval of frames whose arrays are published."""
 
+    @property
+    def version(self) -> int:
+        """Number of changes so far of what `constant` describes."""
+        ...
+
+    def constant(self, frame: int) -> tuple[Topic, Arrays, dict[str, Any]]:
+        """Return topic, arrays and text of the data that hold from a frame on, until a change."""
+        ...
+
+    def status_of(self, frame: Stepped) -> dict[str, Any]:
+        """Return the fields of a frame's status that only this part has, and note them for the report."""
+        ...
+
+    def loads(self) -> Iterable[tuple[Topic, bytes]]:
+        """Return the messages with the forces on bodies, which a scene may ask for in each frame."""
+        ...
+
+    def takes(self, item: str) -> bool:
+        """Return whether an added item is for this part, and not for the one that follows."""
+        ...
+
+    def facts(self, ended: str, seconds: float) -> dict[str, Any]:
+        """Return this part's own entries of `summary`; `seconds` is the time of all steps."""
+        ...
+
+
+class Inputs(Protocol):
+    """What a frame waits for from outside: the poses of live bodies."""
+
+    def arrived(self, frame: int) -> bool:
+        """Return whether the inputs of a frame have arrived. Raises Refused where none will come."""
+        ...
+
+
+class Driver:
+    """Steps cloth or dye frame by frame, publishes it and replies to control requests."""
+
     def __init__(
-        self, context: Context, stepper: Stepper, watchdog: FrameWatchdog, follows: Topic | None = None
-    ) -> None:
+        self, context: Context, stepper: Stepper, account: Account, watchdog: FrameWatchdog,
+        follows: Topic | None = None, inputs: Inputs | None = None,
+    ) -> None:  # fmt: skip
         """`follows` is the topic of the leader's statuses, None for the leader; `watchdog` has run since the
         preparation.
         """
-        self.context, self.stepper = context, stepper
-        self.seconds = {"steps": 0.0, "waiting": 0.0, "encoding": 0.0}
+        self.context, self.stepper, self.account, self.inputs = context, stepper, account, inputs
+        scene = context.loaded.scene
+        timed = {"bodies": inputs is not None, "contact forces": scene.record.contact_forces}
+        self.seconds = dict.fromkeys(("steps", "waiting", "encoding", *(name for name in timed if timed[name])), 0.0)
+        self.version = -1
+        """Version of the published constant data, -1 before the start."""
+        self.warned = len(account.warnings) if stepper.frame else 0
+        """Number of warnings that are events already, in this run or in the one that it resumes."""
         self.digest = stepper.digest()
-        """Digest of the last published frame."""
+        """Digest of the present state."""
         self.shown = self.kept = -1
         """Numbers of the last frame with published arrays, and of that of the last checkpoint."""
         self.watchdog = watchdog
@@ -106,7 +154,8 @@ class Driver(ABC):
         """State before an abandoned frame, if it was kept."""
         self.abandoned = False
         """Whether a frame was abandoned: the run cannot continue from the present state."""
-        self.scene, self.follows = context.loaded.scene, follows
+        self.scene, self.follows = scene, follows
+        self.follower = "dye" if not follows and scene.moves and scene.dye is not None else ""
         self.due: list[int] = []
         """Frames that the leader has finished and this service has not."""
         self.state = "paused"
@@ -127,20 +176,23 @@ class Driver(ABC):
         self.answers: dict[str, Callable[[], bytes]] = {}
         """Further queries that are answered between frames, by name."""
 
-    @abstractmethod
-    def publish_constant(self) -> None:
-        """Publish the data that does not change from frame to frame."""
+    def publish_constant(self, frame: int) -> bool:
+        """Publish the data that hold from a frame on, if they have changed; return whether they have."""
+        if self.account.version == self.version:
+            return False
+        self.version = self.account.version
+        topic, arrays, text = self.account.constant(frame)
+        self.context.bus.publisher(topic).put(encode_arrays(arrays, text), frame, frame / self.scene.frame_rate)
+        return True
 
-    @abstractmethod
-    def status_of(self, frame: Stepped) -> dict[str, Any]:
-        """Return the fields of a frame's status that only this service has."""
-
-    @abstractmethod
-    def facts(self, ended: str) -> dict[str, Any]:
-        """Return the service's own part of `summary`, for the report."""
+    def publish_warnings(self) -> None:
+        """Publish new warnings as events."""
+        for text in self.account.warnings[self.warned :]:
+            self.context.event("warning", text, self.stepper.frame, self.stepper.t)
+        self.warned = len(self.account.warnings)
 
     def publish(self, frame: Stepped, show: bool) -> None:
-        """Publish a frame's status, and before it its arrays if `show`."""
+        """Publish a frame's status, before it its arrays if `show`, and after it the forces on bodies, if wanted."""
         if show:
             self.publish_arrays(frame.digest)
         self.digest = frame.digest
@@ -149,10 +201,17 @@ class Driver(ABC):
             frame=frame.number, t=self.stepper.t, digest=frame.digest, steps=report.steps, step_seconds=frame.seconds,
             paused_seconds=self.paused_seconds,
             state="running" if report.status == "ok" else report.status, message=report.message,
-            **self.status_of(frame),
+            **self.account.status_of(frame),
         )  # fmt: skip
         self.seconds["encoding"] += time.perf_counter() - start
         self._put(topic, status.model_dump_json().encode(), frame.digest)
+        self.publish_warnings()
+        if self.scene.record.contact_forces:
+            start = time.perf_counter()
+            loads = self.account.loads()
+            self.seconds["contact forces"] += time.perf_counter() - start
+            for topic, payload in loads:
+                self._put(topic, payload)
 
     def publish_arrays(self, digest: str) -> None:
         """Publish the present state as float32."""
@@ -161,7 +220,7 @@ class Driver(ABC):
         self.seconds["encoding"] += time.perf_counter() - start
         self._put(self.stepper.published, payload, digest)
 
-    def _put(self, topic: Topic, payload: bytes, digest: str = "") -> None:
+    def _put(self, topic: Topic, payload: bytes | bytearray, digest: str = "") -> None:
         self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
 
     def keep(self, point: Checkpoint | None = None) -> None:
@@ -170,23 +229,26 @@ class Driver(ABC):
 
         The arrays of its frame are published, too: a resumed run then shows the same as an unbroken one.
         """
-        arrays, text = (point.arrays, point.text) if point else self.stepper.whole()
+        arrays, text = (point.arrays, point.text) if point else self.stepper.whole(self.digest)
         if self.shown != text["frame"]:
             self.publish_arrays(text["digest"])
         self._put(self.stepper.kept, encode_arrays(arrays, text), text["digest"])
         self.kept = text["frame"]
 
     def step_frame(self) -> Stepped:
-        """Step one frame and publish it."""
+        """Step one frame and publish it, after cloth that a due operation changes."""
         begin, stepper = time.perf_counter(), self.stepper
-        before = stepper.copied()
+        if stepper.alter_due():
+            self.digest = stepper.digest()
+            self.publish_constant(stepper.frame + 1)
+        before = stepper.copied(self.digest)
         with self.watchdog.frame(stepper.frame, stepper.t):
             frame = stepper.step()
         if frame.report.status == LEFT:
             self.abandoned, self.before = True, before
             return frame
         self.seconds["steps"] += frame.seconds
-        self.publish(frame, frame.number % self.every == 0 or frame.report.status != "ok")
+        self.publish(frame, frame.number % self.account.every == 0 or frame.report.status != "ok")
         if self.clock is not None:
             self.clock.hold(begin)
         return frame
@@ -223,6 +285,8 @@ class Driver(ABC):
         before, change = self.state, {}
         if self.follows and action not in OF_FOLLOWERS:
             return {"ok": False, "error": f"{self.context.bus.service} follows; known: {', '.join(OF_FOLLOWERS)}"}
+        if action == "add" and self.follower and not self.account.takes(str(request.get("item"))):
+            return self._forward(request)
         if action == "start" and request.get("paused"):
             self.held = time.perf_counter()
         elif action in STATES:
@@ -258,12 +322,27 @@ class Driver(ABC):
         field = item.partition("=")[0]
         old = self.stepper.loaded.value(field)
         self.stepper.set(item)
+        self.digest = self.stepper.digest()
         return {"field": field, "old": old, "new": self.stepper.loaded.value(field)}
 
     def add(self, item: str) -> dict[str, Any]:
-        """Add an item to the running scene; return the field, and its new value."""
-        field = self.stepper.add(item)
-        return {"field": field, "old": None, "new": self.stepper.loaded.value(field)}
+        """Add an item to the running scene; return the fields of the control event.
+
+        A checkpoint follows new cloth, so that a run resumed at this frame has it.
+        """
+        change = self.stepper.add(item)
+        self.digest = self.stepper.digest()
+        if self.version >= 0 and self.publish_constant(self.stepper.frame + 1) and self.stepper.part == "cloth":
+            self.keep()
+        return {"old": None} | change
+
+    def _forward(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Pass an addition to the service that follows; return its answer, with the state of the run."""
+        try:
+            answer = self.context.bus.ask_json(f"{CONTROL}/{self.follower}", request, FOLLOWER_TIMEOUT)
+        except RunFailed as error:  # no reply; if it is dead, the supervisor ends the run
+            return {"ok": False, "error": f"{error}; it may still do what it was asked for"}
+        return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
 
     def repeat_changes(self) -> None:
         """Make the changes that the resumed recording has in the present frame, and record them again; warn of one that
@@ -284,7 +363,8 @@ class Driver(ABC):
             begin = now if self.held is None else self.held
             self.paused_seconds = now - begin
             if self.finish is None:
-                self.publish_constant()
+                self.publish_warnings()
+                self.publish_constant(self.stepper.frame)
                 self.publish(self.stepper.first(), show=True)
                 ended = self.follow() if self.follows else self.run()
             summary = self.summary(ended, time.perf_counter() - begin)
@@ -332,8 +412,19 @@ class Driver(ABC):
             self.listen(LOOK_SECONDS)
 
     def ready(self) -> bool:
-        """Wait for the inputs of the next frame, under control; return False if the run does not go on now."""
-        return True
+        """Wait for the inputs of the next frame, under control; return False if the run does not go on now. It fails if
+        they do not come in time.
+        """
+        if self.inputs is None:
+            return True
+        start, pause, frame = time.perf_counter(), pauses(), self.stepper.frame + 1
+        try:
+            while not self.inputs.arrived(frame) and self.finish is None and self.state == "running":
+                self.listen(next(pause))
+        except Refused as error:
+            self.state, self.message = "failed", error.reason
+        self.seconds["bodies"] += time.perf_counter() - start
+        return self.finish is None and self.state == "running"
 
     def follow(self) -> str:
         """Step each frame of the leader until the end; return how it ended. Raises RunFailed for a missing frame."""
@@ -373,7 +464,9 @@ class Driver(ABC):
         frame = self.stepper.frame
         if frame % self.scene.checkpoint_frames == 0 and report.status == "ok" and frame < self.scene.frames:
             self.keep()
-        self.wait_for((frame - WINDOW) // self.every * self.every)  # frames between are not all acknowledged
+        self.wait_for(
+            (frame - WINDOW) // self.account.every * self.account.every
+        )  # frames between are not all acknowledged
         return str(report.status)
 
     def wait_for(self, frame: int) -> None:
@@ -404,7 +497,6 @@ class Driver(ABC):
         times = {"began": self.begin, "simulated_seconds": stepper.t - self.begin, "wall_seconds": wall - paused}
         steps = {"steps_per_frame": stepper.steps, "dt": stepper.dt, "threads": stepper.about(), "totals": self.totals}
         clock = None if self.clock is None else self.clock.facts()
-        digest = self.digest if self.abandoned else stepper.digest()
-        rest = {"digest": digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
+        rest = {"digest": self.digest, "paused_seconds": paused, "seconds": self.seconds, "clock": clock}
         rest |= {"steered": list(stepper.steered)}
-        return result | times | steps | rest | self.facts(ended)
+        return result | times | steps | rest | self.account.facts(ended, self.seconds["steps"])

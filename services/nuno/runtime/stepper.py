@@ -28,9 +28,9 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Memory
 from nuno_schemas.messages import Event, Topic
 
-COPIED, HASHED, CALLS = 1e8, 4, 600_000
-"""Most bytes copied before a frame, for each second of the last one, which takes a few hundredths of its time. The
-state is also hashed, which costs this factor more; the overhead of Python costs as much as this many bytes.
+COPIED, CALLS = 1e8, 600_000
+"""Most bytes copied before a frame, for each second of the last one, which takes a few hundredths of its time; the
+overhead of Python costs as much as this many bytes.
 """
 
 
@@ -127,8 +127,14 @@ class Stepper(ABC):
         """Change a field of the running scene. Raises BadInput."""
 
     @abstractmethod
-    def add(self, item: str) -> str:
-        """Add an item, `list: {...}`, to the running scene; return its field or text. Raises BadInput."""
+    def add(self, item: str) -> dict[str, Any]:
+        """Add an item, `list: {...}`, to the running scene; return its field and `new` value, and the item that repeats
+        it where that is another. Raises BadInput.
+        """
+
+    def alter_due(self) -> bool:
+        """Apply what the scene itself changes before the next frame; return whether there was anything."""
+        return False
 
     @abstractmethod
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
@@ -138,7 +144,7 @@ class Stepper(ABC):
         """
 
     @abstractmethod
-    def encode(self) -> bytes:
+    def encode(self) -> bytes | bytearray:
         """Return the state as it is published, float32."""
 
     @staticmethod
@@ -158,24 +164,27 @@ class Stepper(ABC):
         """Return the arrays of the digest, besides the frame's number."""
         return self.arrays().values()
 
-    def keep(self) -> Checkpoint:
-        """Return a copy of the whole present state, which continues to the same bits."""
-        arrays, text = self.whole()
+    def keep(self, digest: str = "") -> Checkpoint:
+        """Return a copy of the whole present state, which continues to the same bits; its digest, where it is known."""
+        arrays, text = self.whole(digest)
         return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
 
-    def whole(self) -> tuple[Arrays, dict[str, Any]]:
-        """Return arrays and text of a checkpoint; the arrays are the state's own, which the next frame changes."""
+    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
+        """Return arrays and text of a checkpoint; the arrays are the state's own, which the next frame changes. The
+        state's digest is computed unless it is given.
+        """
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
-        text = {"t": self.t, "frame": self.frame, "digest": self.digest(), "dt": self.dt, "steps": self.steps}
+        digest = digest or self.digest()
+        text = {"t": self.t, "frame": self.frame, "digest": digest, "dt": self.dt, "steps": self.steps}
         return arrays, text
 
-    def copied(self) -> Checkpoint | None:
-        """Return a copy of the present state, in case the next frame is abandoned; None where copying would take as
-        long as a frame.
+    def copied(self, digest: str) -> Checkpoint | None:
+        """Return a copy of the present state, of this digest, in case the next frame is abandoned; None where copying
+        would take as long as a frame.
         """
         size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
-        size += HASHED * sum(array.nbytes for array in self.arrays().values())
-        return self.keep() if size < COPIED * self.taken else None
+        size += sum(array.nbytes for array in self.arrays().values())
+        return self.keep(digest) if size < COPIED * self.taken else None
 
     def holds(self) -> str:
         """Return what delays the present frame, in words; called while it is stepped."""

@@ -217,7 +217,7 @@ class Simulation(Stepper):
         """Return the state itself: x (n, 3) [m] and v (n, 3) [m/s]."""
         return {"x": self.state.x, "v": self.state.v}
 
-    def encode(self) -> bytes:
+    def encode(self) -> bytes | bytearray:
         """Return the positions as they are published, float32."""
         return encode_points(self.state.x, self.t)
 
@@ -397,9 +397,9 @@ class Simulation(Stepper):
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
-    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
         """Return arrays and text of a checkpoint, with the changed objects and the bound on the energy."""
-        (arrays, text), (fabrics, changes) = super().whole(), self.altered()
+        (arrays, text), (fabrics, changes) = super().whole(digest), self.altered()
         energy = {} if self.growth is None else {ENERGY: self.growth.account}
         return arrays | fabrics | energy, changes | text
 
@@ -485,11 +485,13 @@ class Simulation(Stepper):
         operations = self.loaded.scene.operations
         return sorted(range(len(operations)), key=lambda i: float(operations[i].at))
 
-    def add(self, item: str) -> str:
-        """Apply an operation, `wrinkle: {...}`, at once; return the text that repeats it. Raises BadInput."""
+    def add(self, item: str) -> dict[str, Any]:
+        """Apply an operation, `wrinkle: {...}`, at once; return its object, its facts and the item that repeats it.
+        Raises BadInput.
+        """
         index, chosen, item = parse(item, self.loaded)
         self._alter(index, chosen)
-        return item
+        return {"field": self.changes[-1]["object"], "new": self.changes[-1]["facts"], "item": item}
 
     def due(self, frame: int) -> int:
         """Return the number of the scene's operations whose time is at most that of `frame`."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.bus.encodings import encode_arrays
-from nuno.bus.messages import PendingReply, Refused, pauses
+from nuno.bus.messages import PendingReply
 from nuno.bus.sessions import PATIENCE
 from nuno.collision.bodies import vertex_normals
 from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.plugin_contract import registry
 from nuno.recording.reader import SETTLED, Recording, before_checkpoint, open_recording, settled_cloth
-from nuno.runtime.driver import CONTROL, Driver
+from nuno.runtime.driver import Driver
 from nuno.runtime.service import Context, FrameWatchdog
 from nuno.runtime.stepper import RECORDED, Stepped, require_recorded, resume
 from nuno.simulation.cloth import size_warnings
@@ -36,9 +35,9 @@ from nuno.simulation.yarns import (
     tension_arrays,
 )
 from nuno_schemas.bodies import Poses
-from nuno_schemas.errors import BadInput, RunFailed
+from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, Int
-from nuno_schemas.messages import BODIES, CONTACT, EVENT, FABRIC, STATUS, TOUCHES, BodyContact, Contact
+from nuno_schemas.messages import BODIES, CONTACT, EVENT, FABRIC, STATUS, TOUCHES, BodyContact, Contact, Topic
 from nuno_schemas.system import StepReport
 from nuno_schemas.vectors import vertex_areas
 
@@ -81,65 +80,51 @@ class LivePoses:
 
 NOW = "sim/ask/now"
 """Query for the present cloth: late subscribers have missed `sim/fabric`, and a paused run sends no state."""
-DYE_TIMEOUT = 20.0
-"""Timeout for the reply of the dye [s], which finishes its frame first: shorter than that of the client's own query,
-and than that of the run's end."""
 
 
-class ClothDriver(Driver):
-    """Runs a simulation frame by frame and replies to control requests."""
+class ClothAccount:
+    """What is told of simulated cloth: its mesh, its energy and stretch, the loads on bodies
+    (nuno.runtime.driver.Account).
+    """
 
-    def __init__(
-        self, context: Context, simulation: Simulation, watchdog: FrameWatchdog, live: LivePoses | None
-    ) -> None:
-        super().__init__(context, simulation, watchdog)
-        self.simulation, self.live = simulation, live
-        waits = {"bodies": live is not None, "contact forces": self.scene.record.contact_forces}
-        self.seconds |= {name: 0.0 for name, present in waits.items() if present}
-        self.answers[NOW] = self.encode_now
-        self.inbox.answer(NOW)
+    every = 1
+
+    def __init__(self, simulation: Simulation, earlier: list[dict[str, Any]]) -> None:
+        """`earlier` are statuses and events of the resumed recording before its checkpoint."""
+        self.simulation = simulation
         self.counts: dict[str, int] = {}
         self.energy: list[dict[str, float]] = []
         self.stretch = self.start_stretch = 0.0
         self.relaxing = False
         """Whether stretch has only fallen since the start: it is that of the first placement, and not of a load."""
-        self.started = False
         self.rest: dict[str, float] = {}
         self.warnings: list[str] = []
-        """Warnings about the start of the cloth, and about cloth that stands still."""
         if simulation.frame == 0:
-            bodies = simulation.geometry, simulation.poses
             self.warnings = size_warnings(simulation.loaded, simulation.pieces, simulation.state.x)
-            self.warnings += start_warnings(simulation.fabric, simulation.state.x, *bodies)
+            self.warnings += start_warnings(
+                simulation.fabric, simulation.state.x, simulation.geometry, simulation.poses
+            )
+        self.recall(earlier)
 
-    def control(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out a control request; an added supply of dye is passed to the dye service."""
-        if request.get("action") != "add" or self.scene.dye is None or _changes_cloth(request.get("item")):
-            return super().control(request)
+    @property
+    def version(self) -> int:
+        """Number of changes of the cloth so far."""
+        return len(self.simulation.changes)
+
+    def constant(self, frame: int) -> tuple[Topic, dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the cloth's data for viewers and recordings."""
+        arrays, text = describe_fabric(self.simulation)
+        if frame == 0 and (rested := self.simulation.rested):
+            parts = [piece.start for piece in rested], [piece.x for piece in rested]
+            arrays |= dict(zip(SETTLED, map(np.concatenate, parts), strict=True))
+        return FABRIC, arrays, text
+
+    def takes(self, item: str) -> bool:
+        """Return whether the added item is an operation on cloth, not a supply of dye."""
         try:
-            answer = self.context.bus.ask_json(f"{CONTROL}/dye", request, DYE_TIMEOUT)
-        except RunFailed as error:  # no reply from the dye; if it is dead, the supervisor ends the run
-            return {"ok": False, "error": f"{error}; it may still do what it was asked for"}
-        return answer | ({"state": self.state, "before": self.state, "left": self.left} if answer["ok"] else {})
-
-    def add(self, item: str) -> dict[str, Any]:
-        """Apply an operation to the cloth at once; return the fields of the control event, with the operation's facts.
-
-        A checkpoint follows, so that a run resumed at this frame has the change.
-        """
-        text = self.simulation.add(item)
-        if self.started:
-            self.publish_fabric(self.simulation.frame + 1)
-            self.keep()
-        change = self.simulation.changes[-1]
-        return {"field": change["object"], "old": None, "new": change["facts"], "item": text}
-
-    def publish_constant(self) -> None:
-        """Publish the cloth, and the warnings about its start."""
-        self.started = True
-        for text in self.warnings if self.simulation.frame == 0 else ():
-            self.context.event("warning", text, self.simulation.frame, self.simulation.t)
-        self.publish_fabric(self.simulation.frame)
+            return name_of(item) in registry.installed("nuno.operations")
+        except BadInput:
+            return False
 
     def recall(self, earlier: list[dict[str, Any]]) -> None:
         """Continue the report of the resumed recording, given its statuses and events before the checkpoint."""
@@ -149,49 +134,25 @@ class ClothDriver(Driver):
             self._note_counts(status.get("counts", {}))
             self._note_stretch(status["frame"], math.nan if status["stretch"] is None else status["stretch"])
 
-    def step_frame(self) -> Stepped:
-        """Step one frame and publish it, after cloth that a due operation changes."""
-        if self.simulation.alter_due():
-            self.publish_fabric(self.simulation.frame + 1)
-        stepped = super().step_frame()
-        standing = "all cloth stands still: "
-        if stepped.report.counts.get("steps_without_motion") and not any(standing in text for text in self.warnings):
-            self.warnings.append(f"{standing}{self.simulation.holds()}")
-            self.context.event("warning", self.warnings[-1], self.simulation.frame, self.simulation.t)
-        return stepped
-
-    def publish(self, frame: Stepped, show: bool) -> None:
-        """Publish a frame, with the contact forces where the scene records them."""
-        super().publish(frame, show)
-        if self.scene.record.contact_forces and self.simulation.geometry is not None:
-            start = time.perf_counter()
-            contact, touches = feel(self.simulation)
-            text = {"bodies": list(self.simulation.geometry.bodies)}
-            self.seconds["contact forces"] += time.perf_counter() - start
-            self._put(CONTACT, contact.model_dump_json().encode())
-            self._put(TOUCHES, encode_arrays(touches, text))
-
-    def ready(self) -> bool:
-        """Wait for the poses of bodies that are moved from outside; the run fails if they do not come in time."""
-        if self.live is None:
-            return True
-        start, pause, frame = time.perf_counter(), pauses(), self.simulation.frame + 1
-        try:
-            while not self.live.arrived(frame) and self.finish is None and self.state == "running":
-                self.listen(next(pause))
-        except Refused as error:
-            self.state, self.message = "failed", error.reason
-        self.seconds["bodies"] += time.perf_counter() - start
-        return self.finish is None and self.state == "running"
+    def loads(self) -> list[tuple[Topic, bytes]]:
+        """Return the loads on bodies, and the contacts that they come from."""
+        if self.simulation.geometry is None:
+            return []
+        contact, touches = feel(self.simulation)
+        text = {"bodies": list(self.simulation.geometry.bodies)}
+        return [(CONTACT, contact.model_dump_json().encode()), (TOUCHES, encode_arrays(touches, text))]
 
     def status_of(self, frame: Stepped) -> dict[str, Any]:
         """Return energy, stretch and size of the wrinkles, and keep them for the report."""
         report: StepReport = frame.report
-        if self.scene.until == "balance" and math.isfinite(report.unbalance):
+        if self.simulation.loaded.scene.until == "balance" and math.isfinite(report.unbalance):
             self.rest = {"farthest": report.unbalance, "unsettled": report.unsettled}
         self._note_counts(report.counts)
         self.energy = [self.energy[0] if self.energy else dict(report.energy), dict(report.energy)]
         self._note_stretch(frame.number, report.stretch)
+        standing = "all cloth stands still: "
+        if report.counts.get("steps_without_motion") and not any(standing in text for text in self.warnings):
+            self.warnings.append(f"{standing}{self.simulation.holds()}")
         return {
             "energy": dict(report.energy), "stretch": report.stretch, "wrinkles": self.simulation.wrinkles(),
             "counts": dict(report.counts),
@@ -210,38 +171,25 @@ class ClothDriver(Driver):
             self.relaxing = False
         self.stretch = stretch if self.relaxing else max(self.stretch, stretch)
 
-    def publish_fabric(self, frame: int) -> None:
-        """Publish the cloth's constant data for viewers and recordings, valid from `frame` on."""
-        arrays, text = describe_fabric(self.simulation)
-        if frame == 0 and (rested := self.simulation.rested):
-            parts = [piece.start for piece in rested], [piece.x for piece in rested]
-            arrays |= dict(zip(SETTLED, map(np.concatenate, parts), strict=True))
-        self.context.bus.publisher(FABRIC).put(encode_arrays(arrays, text), frame, frame / self.scene.frame_rate)
-
-    def encode_now(self) -> bytes:
-        """Return the content of `sim/fabric`, with x (n, 3) [m], frame and t [s]."""
-        arrays, text = describe_fabric(self.simulation)
-        simulation = self.simulation
-        return encode_arrays(arrays | {"x": simulation.state.x}, text | {"frame": simulation.frame, "t": simulation.t})
-
     def pressure(self) -> dict[str, float]:
         """Return the pressure of the cloth on its bodies at the end [Pa]; empty where it cannot be computed."""
         simulation = self.simulation
-        if not has_pressure(simulation.fabric) or not self.scene.bodies or not np.isfinite(simulation.state.x).all():
+        bodies = simulation.loaded.scene.bodies
+        if not has_pressure(simulation.fabric) or not bodies or not np.isfinite(simulation.state.x).all():
             return {}
         return dict(find_pressure(simulation.loaded, simulation.fabric, simulation.state.x).facts)
 
-    def facts(self, ended: str) -> dict[str, Any]:
+    def facts(self, ended: str, seconds: float) -> dict[str, Any]:
         """Return energies, limits and sizes for the report."""
         simulation, fabric = self.simulation, self.simulation.fabric
         step_seconds: dict[str, float] = {}
-        if ended in ("done", "stopped") and not simulation.leave[0] and self.seconds["steps"] > 0.0:
-            step_seconds = simulation.divide(self.seconds["steps"])
+        if ended in ("done", "stopped") and not simulation.leave[0] and seconds > 0.0:
+            step_seconds = simulation.divide(seconds)
         limit = simulation.limit
         return {
             "step_seconds": step_seconds,
             "idle": simulation.idle,
-            "rested": ended == "done" and simulation.frame < self.scene.frames,
+            "rested": ended == "done" and simulation.frame < simulation.loaded.scene.frames,
             "limit": {"dt": limit.dt, "omega": limit.omega, "damping": limit.damping},
             "energy": self.energy,
             "stretch": self.stretch,
@@ -296,14 +244,6 @@ def _constant_arrays(fabric: Fabric) -> dict[str, NDArray[Any]]:
     return {"faces": fabric.faces, "edges": edges, "edge_rest": rest.astype(np.float32), "pinned": fabric.pinned}
 
 
-def _changes_cloth(item: object) -> bool:
-    """Return whether the added item is an operation on cloth, not a supply of dye."""
-    try:
-        return name_of(str(item)) in registry.installed("nuno.operations")
-    except BadInput:
-        return False
-
-
 def _require_same_poses(recording: Recording, simulation: Simulation) -> None:
     """Raise BadInput where bodies are elsewhere at the checkpoint than recorded, as a changed plugin may move them."""
     message = recording.last(BODIES.name, simulation.t)
@@ -343,8 +283,16 @@ def main(context: Context) -> None:
                 _require_same_poses(recording, simulation)
     simulation.present()  # compiles what the steps need, so that the run itself is timed without it
     simulation.rehearse()
-    driver = ClothDriver(context, simulation, watchdog, live)
-    driver.recall(earlier)
+    driver = Driver(context, simulation, ClothAccount(simulation, earlier), watchdog, inputs=live)
+
+    def encode_now() -> bytes:
+        """Return the content of `sim/fabric`, with x (n, 3) [m], frame and t [s]."""
+        arrays, text = describe_fabric(simulation)
+        text |= {"frame": simulation.frame, "t": simulation.t}
+        return encode_arrays(arrays | {"x": simulation.state.x}, text)
+
+    driver.answers[NOW] = encode_now
+    driver.inbox.answer(NOW)
     driver.serve()
 
 

@@ -19,11 +19,12 @@ from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
+from nuno.runtime.driver import Driver
 from nuno.runtime.service import Context, FrameWatchdog, Options, asks_to_finish
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
-from nuno.simulation.service import ClothDriver
+from nuno.simulation.service import ClothAccount
 from nuno.studio.desk import Desk
 from nuno_schemas.errors import BadInput
 from nuno_schemas.messages import ACK, EVENT, PICTURE, TOPICS, Ack, Header
@@ -175,7 +176,7 @@ def _asked(make: Callable[[Context], Callable[[Query], None]], folder: Path) -> 
 
 def _control(context: Context) -> Callable[[Query], None]:
     simulation = Simulation(context.loaded, None, None, 1)
-    driver = ClothDriver(context, simulation, FrameWatchdog(context), None)
+    driver = Driver(context, simulation, ClothAccount(simulation, []), FrameWatchdog(context))
 
     def answer(question: Query) -> None:
         said = driver.control(question.json())
