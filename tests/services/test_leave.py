@@ -26,9 +26,9 @@ from nuno.formatting import roughly
 from nuno.python_api import progress
 from nuno.python_api.plan import RuntimeEstimate, run_seconds
 from nuno.python_api.progress import ProgressLine
+from nuno.runtime import driver as watchdog
 from nuno.runtime import launch
-from nuno.runtime import service as watchdog
-from nuno.runtime.service import FrameWatchdog
+from nuno.runtime.driver import FrameWatchdog
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno.simulation.solver_selection.cloth import decide
@@ -133,7 +133,7 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     attendant = FrameWatchdog(context)
     attendant.prepared()
     attendant.note_query(question)
-    time.sleep(watchdog.PATIENCE + 4 * watchdog.CHECK_INTERVAL)
+    time.sleep(watchdog.LEAVE_AFTER + 4 * watchdog.CHECK_INTERVAL)
     assert not attendant.leave[0]
     with attendant.frame(1, 0.1):
         wait_until(lambda: bool(attendant.leave[0]))

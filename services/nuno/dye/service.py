@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from nuno.dye.run import DyeRun
 from nuno.recording.reader import before_checkpoint, open_recording
-from nuno.runtime.driver import Driver
-from nuno.runtime.service import Context, FrameWatchdog
+from nuno.runtime.driver import Driver, FrameWatchdog
+from nuno.runtime.service import Context
 from nuno.runtime.stepper import Stepped, require_recorded, resume
 from nuno_schemas.dye import Cells
 from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS, Topic

@@ -73,9 +73,7 @@ class Costs:
         self.lists, self.starts = lists, []
 
     def before(self, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> None:
-        """Keep the start state of a frame, if it is due; beyond the limit every other one is dropped."""
-        if not self.lists or self.frames % self.every != 0:
-            return
+        """Keep the start state of a frame; beyond the limit every other one is dropped."""
         size = state.x.nbytes + state.v.nbytes + sum(array.nbytes for array in memory.arrays.values())
         most = min(MOST_STARTS, MOST_BYTES // size)
         if len(self.starts) >= max(1, most):

@@ -51,6 +51,7 @@ from nuno_schemas.layout import Bounds
 from nuno_schemas.messages import CHECKPOINT, STATE, STATUS, Event
 from nuno_schemas.operation import Outcome, arranges
 from nuno_schemas.plugin import Rested
+from nuno_schemas.scene import Fading
 from nuno_schemas.system import Forces, StepLimit, StepReport, System, Touched
 
 # Energy that grows without work, by which a run is seen to diverge.
@@ -119,6 +120,8 @@ class Simulation(Stepper):
     status, published, kept = STATUS, STATE, CHECKPOINT
     quantities = MappingProxyType({"x": "position", "v": "velocity"})
 
+    solver: Chosen
+    """The scene's integrator; it takes states in the user's order."""
     numbers: Int | None
     """(n,) the vertex at each position of the stepped fabric, None where that keeps the user's order."""
     applied: int
@@ -187,6 +190,9 @@ class Simulation(Stepper):
         position of each vertex, in the order of the steps.
         """
         fabric, bodies = renumber(self.fabric, self.numbers), (self.geometry, self.start_poses)
+        self.solver = self.loaded.integrator
+        if self.numbers is not None:
+            self.solver = replace(self.solver, plugin=RenumberedSolver(self.solver.plugin, self.numbers))
         self._still, self.growth = False, None
         system = cloth.build_system(self.loaded, fabric, self.pieces, *bodies, self.threads)
         self.system = replace(system, leave=self.leave)
@@ -268,8 +274,10 @@ class Simulation(Stepper):
         else:
             # Cloth with any velocity moves: only standing cloth is hashed.
             before = self._content() if unmoved and not self.state.v.any() else ""
-            self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
-            self.costs.before(self.state, self.memory, poses)
+            if self.relaxation is not None or isinstance(self.loaded.scene.damping, Fading):
+                self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
+            if self.memory.lists and self.costs.frames % self.costs.every == 0:
+                self.costs.before(self.state, self.memory, poses)
             begun = self._watch(poses, unmoved)
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             if report.status == "left":
@@ -304,7 +312,8 @@ class Simulation(Stepper):
             self._begin_growth()
         if self.growth is None or (unmoved and not self.system.terms and self.fabric.yarns is None):
             return None
-        return FrameStart(self.state.copy(), {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
+        state = State(self.state.x.copy(), self.state.v.copy(), self.state.t)
+        return FrameStart(state, {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
 
     def _judge(self, report: StepReport, begun: FrameStart | None) -> StepReport:
         """Return the report of a frame, diverged where its step has added energy; `begun` is from `_watch`."""
@@ -453,12 +462,6 @@ class Simulation(Stepper):
         changed.steps, changed.dt = step
         # A change that is refused has altered only the copy.
         vars(self).update(vars(changed))
-
-    @property
-    def solver(self) -> Chosen:
-        """The scene's integrator; it takes states in the user's order."""
-        chosen, numbers = self.loaded.integrator, self.numbers
-        return chosen if numbers is None else replace(chosen, plugin=RenumberedSolver(chosen.plugin, numbers))
 
     def begin_unchanged(self) -> None:
         """Start with the cloth of the scene, before any operation."""

@@ -17,8 +17,8 @@ from nuno.collision.bodies import vertex_normals
 from nuno.collision.messages import POSES_QUERY, decode_poses
 from nuno.plugin_contract import registry
 from nuno.recording.reader import SETTLED, Recording, before_checkpoint, open_recording, settled_cloth
-from nuno.runtime.driver import Driver
-from nuno.runtime.service import Context, FrameWatchdog
+from nuno.runtime.driver import Driver, FrameWatchdog
+from nuno.runtime.service import Context
 from nuno.runtime.stepper import RECORDED, Stepped, require_recorded, resume
 from nuno.simulation.cloth import size_warnings
 from nuno.simulation.operations import name_of

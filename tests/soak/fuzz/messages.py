@@ -19,8 +19,8 @@ from nuno.collision.service import Collision
 from nuno.dye.painter import DyePainter
 from nuno.recording.reader import Recording
 from nuno.recording.writer import check_payload, topic_of
-from nuno.runtime.driver import Driver
-from nuno.runtime.service import Context, FrameWatchdog, Options, asks_to_finish
+from nuno.runtime.driver import Driver, FrameWatchdog
+from nuno.runtime.service import Context, Options, asks_to_finish
 from nuno.scene import scene_file, yaml_lines
 from nuno.scene.files import SceneFiles
 from nuno.simulation.run import Simulation
