@@ -1,0 +1,49 @@
+"""The drawing of a frame in the documentation, against a frame."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections import defaultdict
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from scenes import BALL, write_scene
+
+import nuno
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "services.md"
+NAME = re.compile(r"[A-Za-z_]+\.[a-z_]+|set_[a-z_]+")
+
+
+def drawn() -> list[tuple[int, str]]:
+    """Names of the drawing, each with its indentation; a line's further names have that of the first."""
+    block = PAGE.read_text().split("## A frame\n")[1].split("```")[1].splitlines()[1:]
+    lines = [(len(line) - len(line.lstrip()), re.split(r"\s{2,}", line.strip())[0]) for line in block if line.strip()]
+    return [(depth, name) for depth, names in lines for name in NAME.findall(names)]
+
+
+def test_a_frame_passes_what_is_drawn_each_within_what_it_is_drawn_in(tmp_path: Path) -> None:
+    within: dict[str, set[str]] = defaultdict(set)
+
+    def note(frame: FrameType, event: str, argument: Any) -> None:
+        if event == "call" and threading.current_thread().name == "simulation":
+            name, caller = frame.f_code.co_qualname, frame.f_back
+            while caller is not None:
+                within[name].add(caller.f_code.co_qualname)
+                caller = caller.f_back
+
+    threading.setprofile(note)
+    try:
+        scene = write_scene(tmp_path, duration=0.1, bodies=BALL)
+        assert nuno.run(scene, record=tmp_path / "run.mcap", threads=1).state == "done"
+    finally:
+        threading.setprofile(None)
+    around: list[tuple[int, str]] = []
+    names = drawn()
+    assert len(names) > 12
+    for depth, name in names:
+        around = [(other, outer) for other, outer in around if other < depth]
+        assert name in within and {outer for _, outer in around} <= within[name], name
+        around.append((depth, name))
