@@ -34,7 +34,6 @@ from nuno_integrators.packing import (
     silence,
     silence_bodies,
     thread_count,
-    to_rows,
 )
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
@@ -92,11 +91,11 @@ AGAIN = 5.0
 
 @dataclass
 class Work:
-    """Buffers of one system in the kernels' layout: x, v and the stages are rows (3, n)."""
+    """Buffers of one system, rows (3, n): the state's own x and v while a method works on it, and stages."""
 
     packed: Packed
-    x: Float
-    v: Float
+    x: Float = field(init=False)
+    v: Float = field(init=False)
     stages: Float
     tuning: ThreadTuning | None = field(default=None, init=False)
     """None where one thread runs"""
@@ -176,7 +175,7 @@ class Compiled(ABC):
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
     ) -> StepReport:
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
-        began = time.perf_counter()
+        began, before = time.perf_counter(), state.copy()
         with _entered(system, state, memory, state.t + steps * dt) as work:
             work.packed = self.damped(work.packed, float(system.damping))
             packed = _set_poses(work.packed, poses)
@@ -187,12 +186,11 @@ class Compiled(ABC):
             result = self.go(work, packed, steps, dt) if steps else StepResult(0)
             seconds = time.perf_counter() - started
         if steps and system.leave[0]:
+            state.x[...], state.v[...] = before.x, before.v
             return StepReport("left", 0)
         if work.tuning is not None:
             work.tuning.took(seconds, result.totals.get("evaluations", result.steps))
-        nonfinite = self._describe_nonfinite(system, state, work, poses, steps, dt, seconds)
-        state.x[...] = work.x.T
-        state.v[...] = work.v.T
+        nonfinite = self._describe_nonfinite(system, before, work, poses, steps, dt, seconds)
         state.t += steps * dt
         return _report(system, work, packed, result, nonfinite, time.perf_counter() - began)
 
@@ -222,7 +220,7 @@ class Compiled(ABC):
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None
     ) -> Mapping[str, float]:
         """See nuno_schemas.plugin.Inspected."""
-        with _entered(system, state, memory, state.t) as work:
+        with _entered(system, state.copy(), memory, state.t) as work:
             packed = _set_poses(work.packed, poses)
             return profile_steps(self.steps_of(work), packed, work.x, work.v, work.stages)
 
@@ -233,7 +231,7 @@ class Compiled(ABC):
 
     def unbalance(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Float:
         """See nuno_schemas.plugin.Inspected."""
-        with _entered(system, state, memory, state.t) as work:
+        with _entered(system, state.copy(), memory, state.t) as work:
             packed = _set_poses(work.packed, poses)
             force = np.empty_like(work.x)
             evaluate(work.x, np.zeros_like(work.v), 1.0, force, packed)
@@ -243,7 +241,7 @@ class Compiled(ABC):
 
     def forces(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> Forces:
         """See nuno_schemas.plugin.Inspected."""
-        with _entered(system, state, memory, state.t) as work:
+        with _entered(system, state.copy(), memory, state.t) as work:
             packed = undisturbed(work.packed)
             if poses is not None:
                 self._begin_at(packed, work, poses[1])
@@ -253,7 +251,7 @@ class Compiled(ABC):
 
     def touched(self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses]) -> Touched:
         """See nuno_schemas.plugin.Inspected."""
-        with _entered(system, state, memory, state.t) as work:
+        with _entered(system, state.copy(), memory, state.t) as work:
             packed = undisturbed(work.packed)
             self._begin_at(packed, work, poses[1])
             free = self.free_forces(system, work, packed)
@@ -287,8 +285,8 @@ class Compiled(ABC):
 
 @contextmanager
 def _entered(system: System, state: State, memory: Memory, end: float) -> Iterator[Any]:
-    """Copy the state into the kernels' layout, and a checkpoint's arrays into the method's own, for an interval that
-    lasts until `end` [s]; yield the method's buffers. Raises the errors of forces in Python.
+    """Let a method work on a state, and copy a checkpoint's arrays into its own, for an interval that lasts until `end`
+    [s]; yield the method's buffers. Raises the errors of forces in Python.
     """
     work: Work = memory.work  # type: ignore[assignment]
     for name, own in _state_arrays(work)[0].items():
@@ -298,8 +296,7 @@ def _entered(system: System, state: State, memory: Memory, end: float) -> Iterat
             memory.arrays[name] = own
     if work.tuning is not None:
         numba.set_num_threads(work.tuning.choose() if state.t < end else work.tuning.threads)
-    to_rows(state.x, work.x)
-    to_rows(state.v, work.v)
+    work.x, work.v = state.x.T, state.v.T
     work.packed.time[:] = state.t, end - state.t
     yield work
     raise_error(work.packed.bodies, system.leave)

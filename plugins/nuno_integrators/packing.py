@@ -23,15 +23,12 @@ PARALLEL_FROM, OF_CLOTH = 4096, 1024
 body does far more than steps alone. Whether several run in a frame is found by trying."""
 
 
-def to_rows(array: Float, out: Float | None = None) -> Float:
+def to_rows(array: Float) -> Float:
     """Return (n, 3) as C-contiguous (3, n) that shares no memory with it.
 
     Not np.ascontiguousarray: one vertex transposed is contiguous as it is, and would be handed back as a view.
     """
-    if out is None:
-        return np.array(array.T, np.float64, order="C")
-    out[...] = array.T
-    return out
+    return np.array(array.T, np.float64, order="C")
 
 
 def thread_count(system: System) -> int:

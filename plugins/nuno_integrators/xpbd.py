@@ -200,9 +200,8 @@ class XPBD(Compiled):
             solved = (kernels_of(term).name for term in packed.forces if "constraints" in kernels_of(term))
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any("project" in kernels_of(term) for term in packed.bodies) else None
-        x, v = np.empty((2, 3, n))
         own = Swept(others, pack_constraints(packed, repeated), np.empty((1, n)), held, config.iterations)
-        return XPBDWork(packed, x, v, np.empty((4, 3, n)), own, np.zeros(1))
+        return XPBDWork(packed, np.empty((4, 3, n)), own, np.zeros(1))
 
     def limit(self, config: XPBDConfig, system: System, state: State) -> StepLimit:
         """Return the limit of the forces without a constraint; `resolved` follows from config.residual."""

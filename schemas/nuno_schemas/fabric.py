@@ -505,14 +505,21 @@ class Fabric:
 
 @dataclass
 class State:
-    """Positions x (n, 3) [m] and velocities v (n, 3) [m/s], both float64 and C-contiguous, at time t [s]."""
+    """Positions x (n, 3) [m] and velocities v (n, 3) [m/s], float64, at time t [s].
 
-    x: Annotated[Float, "n", 3]
-    v: Annotated[Float, "n", 3]
+    They lie in memory as kernels read them: x.T and v.T are C-contiguous rows (3, n). Arrays that lie otherwise are
+    copied.
+    """
+
+    x: Annotated[Float, "n", 3, Bounds(strided=True)]
+    v: Annotated[Float, "n", 3, Bounds(strided=True)]
     t: float = 0.0
 
+    def __post_init__(self) -> None:
+        self.x, self.v = np.asfortranarray(self.x), np.asfortranarray(self.v)
+
     def copy(self) -> State:
-        return State(self.x.copy(), self.v.copy(), self.t)
+        return State(self.x.copy(order="F"), self.v.copy(order="F"), self.t)
 
 
 @dataclass

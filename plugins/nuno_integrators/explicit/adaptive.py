@@ -326,9 +326,8 @@ class Adaptive(Compiled):
         omega, damping = measure_rates(system, State(fabric.position, np.zeros_like(fabric.position)))
         longest = OF_LIMIT * stable_step(self.amplification, omega, damping, system.damping)
         longest = longest if longest > 0.0 else float("inf")
-        x, v = np.empty((2, 3, n))
         estimate = table.estimate(block_count(n))
-        return AdaptiveWork(packed, x, v, buffers.k, buffers, estimate, control, allowed, not known_ahead, longest)
+        return AdaptiveWork(packed, buffers.k, buffers, estimate, control, allowed, not known_ahead, longest)
 
     def limit(self, config: AdaptiveConfig, system: System, state: State) -> StepLimit:
         """Return an unlimited step: the scene's is only the largest that is tried."""

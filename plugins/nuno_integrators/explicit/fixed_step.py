@@ -38,8 +38,7 @@ class Explicit(Compiled):
     loop: ClassVar[Any]
 
     def make_work(self, config: BaseModel, system: System, packed: Packed) -> Work:
-        n = system.fabric.number
-        return Work(packed, np.empty((3, n)), np.empty((3, n)), np.empty((self.room, 3, n)))
+        return Work(packed, np.empty((self.room, 3, system.fabric.number)))
 
     @property
     def room(self) -> int:

@@ -204,10 +204,8 @@ class Respa(Compiled):
     holds: ClassVar[bool] = False
 
     def make_work(self, config: RespaConfig, system: System, packed: Packed) -> RespaWork:
-        n = system.fabric.number
-        x, v = np.empty((2, 3, n))
         every = None if config.every == "auto" else config.every
-        return RespaWork(packed, x, v, np.empty((5, 3, n)), every, divide(system))
+        return RespaWork(packed, np.empty((5, 3, system.fabric.number)), every, divide(system))
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Return the limit of all forces with the damping of tension, and of the other forces alone."""

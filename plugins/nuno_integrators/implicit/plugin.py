@@ -93,9 +93,8 @@ class Implicit(Compiled):
     def make_work(self, config: ImplicitConfig, system: System, packed: Packed) -> ImplicitWork:
         n = system.fabric.number
         stage = make_stage(packed, system.fabric.position, cloth_size(system.fabric))
-        x, v = np.empty((2, 3, n))
         limits, grips = Limits(config.residual, config.most_iterations), tuple(call_each(packed, "grip"))
-        return ImplicitWork(packed, x, v, np.empty((2, 3, n)), stage, limits, grips)
+        return ImplicitWork(packed, np.empty((2, 3, n)), stage, limits, grips)
 
     def limit(self, config: ImplicitConfig, system: System, state: State) -> StepLimit:
         """Return no limit."""

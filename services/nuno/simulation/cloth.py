@@ -406,7 +406,7 @@ def start_state(fabric: Fabric) -> State:
     """Return the state at the start, with velocity 0 of pinned vertices."""
     velocity = np.array(fabric.velocity, np.float64, order="C")
     velocity[fabric.pinned] = 0.0
-    return State(np.array(fabric.position, np.float64, order="C"), velocity, 0.0)
+    return State(np.array(fabric.position, np.float64, order="F"), velocity, 0.0)
 
 
 # Joining of several fabrics into one.

@@ -312,7 +312,7 @@ class Simulation(Stepper):
             self._begin_growth()
         if self.growth is None or (unmoved and not self.system.terms and self.fabric.yarns is None):
             return None
-        state = State(self.state.x.copy(), self.state.v.copy(), self.state.t)
+        state = State(self.state.x.copy(order="F"), self.state.v.copy(order="F"), self.state.t)
         return FrameStart(state, {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
 
     def _judge(self, report: StepReport, begun: FrameStart | None) -> StepReport:
