@@ -3,7 +3,7 @@
 `nuno.run(scene)` simulates, `nuno.plan(scene)` describes a run and its cost, `nuno.Scene` is a scene as an object;
 `nuno.open(file)` reads a recording, `nuno.resume`, `nuno.verify` and `nuno.export` use it, and `nuno.states` returns
 its frames in float64, with the forces in them; `nuno.sweep` runs a scene for many values; `nuno.watch` receives the
-messages of an active run, and `nuno.drive` moves a body in it.
+messages of an active run, and `nuno.drive` moves a body in it; `nuno.register` makes a plugin known without a package.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nuno.plugin_contract.registry import register
     from nuno.python_api.active_run import Heard, drive, watch
     from nuno.python_api.plan import Plan, plan
     from nuno.python_api.recordings import export, states, verify
@@ -33,6 +34,7 @@ __all__ = [
     "export",
     "open",
     "plan",
+    "register",
     "resume",
     "run",
     "states",
@@ -41,6 +43,7 @@ __all__ = [
     "watch",
 ]  # fmt: skip
 PLACES = {
+    "nuno.plugin_contract.registry": ("register",),
     "nuno.python_api.active_run": ("Heard", "drive", "watch"),
     "nuno.python_api.plan": ("Plan", "plan"),
     "nuno.python_api.recordings": ("export", "open", "states", "verify"),

@@ -23,6 +23,7 @@ import numpy as np
 from nuno.cli.common import add_scene, find_own, load_scene
 from nuno.exports.camera import SIDES
 from nuno.exports.tables import heading
+from nuno.plugin_contract import registry
 from nuno.python_api.run import Result, run_loaded, table_of
 from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.scene import shipped, yaml_lines
@@ -237,6 +238,9 @@ def sweep(
     value that is refused in every combination.
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
+        if jobs != 1 or dask is not None:
+            plugins = [(one.group, one.name) for one in found.chosen]
+            registry.require_installed(plugins, "a sweep's other processes", "jobs=1")
         with closing(choose_executor(jobs if dask is None else None, dask)) as where:
             place = Place(where, None if out is None else Path(out), resume, progress or (lambda text: None))
             made = run_all(found, over, place, side)

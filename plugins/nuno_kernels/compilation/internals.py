@@ -239,8 +239,9 @@ numba_dispatcher.FunctionCache = _Cache  # type: ignore[attr-defined]
 def keep(dispatcher: Any, folder: Path, version: str = "Python") -> Any:
     """Cache a compiled function in numba's present folder, which is `folder`, as one of a kernel's versions."""
     if _can_be_written(folder):
-        dispatcher.enable_caching()
-        dispatcher._cache.version = version
+        with contextlib.suppress(RuntimeError):  # of source that is in no file, as what Python reads from a pipe
+            dispatcher.enable_caching()
+            dispatcher._cache.version = version
     return dispatcher
 
 

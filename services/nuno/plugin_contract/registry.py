@@ -1,4 +1,6 @@
-"""Registry of plugins by entry point: listing imports none, and a plugin is imported when a scene names it."""
+"""Registry of plugins by entry point: listing imports none, and a plugin is imported when a scene names it. Scripts and
+notebooks register classes, which are known to their process alone.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +19,58 @@ OWN = "nuno"
 """Distribution of the project's own plugins."""
 
 
+class Registered(EntryPoint):
+    """An entry point of this process alone: the class `kind`, in place of an installed package's."""
+
+    kind: type
+
+    def __init__(self, group: str, kind: Any) -> None:
+        super().__init__(kind.name, f"{kind.__module__}:{kind.__qualname__}", group)
+        vars(self).update(kind=kind)
+
+    def load(self) -> Any:
+        return self.kind
+
+
+REGISTERED: dict[tuple[str, str], Registered] = {}
+"""By group and name."""
+
+
+def register(group: str, plugin: type) -> None:
+    """Make a plugin known in this process, without a package: nuno.register("nuno.forces", Magnet), a class with a
+    `name`, its `Config` and the methods of its kind. Scenes then name it like an installed one.
+
+    The class may be registered again, as by a notebook's cell that runs twice: the last one counts. Other processes
+    do not know it: `processes=True`, a sweep's `jobs` and the command need a package with an entry point.
+
+    Raises BadInput for an unknown kind, for what is no plugin, and for a name that another plugin of the kind has.
+    """
+    if group not in GROUPS:
+        raise BadInput("no such kind of plugin", field="group", value=group, remedy=nearest(str(group), GROUPS))
+    name = getattr(plugin, "name", None)
+    if not (isinstance(plugin, type) and isinstance(name, str) and name):
+        remedy = f'nuno.register("{group}", Magnet): a class whose `name` is what scenes call it'
+        raise BadInput("a plugin is a class with a name", field="plugin", value=repr(plugin), remedy=remedy)
+    point = Registered(group, plugin)
+    for other in claims(group).get(name, []):
+        if not isinstance(other, Registered) or other.value != point.value:
+            raise BadInput(
+                f"there is a plugin {name!r} in {group} already: {other.value} of {package(other)}", field="plugin",
+                value=point.value, remedy="give the class another `name`",
+            )  # fmt: skip
+    REGISTERED[group, name] = point
+
+
+def require_installed(plugins: Iterable[tuple[str, str]], what: str, remedy: str) -> None:
+    """Raise BadInput if one of the plugins, by group and name, is known to this process alone, and `what` is not."""
+    for group, name in plugins:
+        if (point := REGISTERED.get((group, name))) is not None:
+            raise BadInput(
+                f"the plugin {name!r} in {group} is registered in this process, and {what} would not know it",
+                value=point.value, remedy=f"{remedy}, or install it as a package with an entry point",
+            )  # fmt: skip
+
+
 def installed(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name; the first of `claims` if several have one name."""
     return {name: points[0] for name, points in claims(group).items()}
@@ -24,7 +78,11 @@ def installed(group: str) -> dict[str, EntryPoint]:
 
 def claims(group: str) -> dict[str, list[EntryPoint]]:
     """Return the entry points for each name of a group, the project's own first; more than one is an error."""
-    return {name: list(points) for name, points in _claims(entry_points, group, tuple(sys.path)).items()}
+    found = {name: list(points) for name, points in _claims(entry_points, group, tuple(sys.path)).items()}
+    for (kind, name), point in REGISTERED.items():
+        if kind == group:
+            found.setdefault(name, []).append(point)
+    return found
 
 
 @cache
@@ -104,13 +162,13 @@ def package_version(group: str, name: str) -> str:
 
 
 def package(point: EntryPoint) -> str:
-    """Return the `package version` of an entry point."""
-    return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
+    """Return the `package version` of an entry point, the module of a class that is registered."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value.partition(":")[0]
 
 
 def distribution(point: EntryPoint) -> str:
-    """Return the name of an entry point's package."""
-    return point.dist.name if point.dist else "unknown package"
+    """Return the name of an entry point's package, "" for a class that is registered."""
+    return point.dist.name if point.dist else ""
 
 
 def is_own(point: EntryPoint) -> bool:

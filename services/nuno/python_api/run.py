@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nuno.plugin_contract import registry
 from nuno.process import SIGNALS, scratch
 from nuno.python_api.plan import keep_up
 from nuno.python_api.recordings import Recorded, export, path_of
@@ -103,6 +104,9 @@ def _path(record: str | os.PathLike[str] | None) -> Path | None:
 
 
 def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None) -> Result:
+    if processes:
+        plugins = [(one.group, one.name) for one in scene.chosen]
+        registry.require_installed(plugins, "other processes", "leave processes=True out")
     deployment = Deployment(processes=processes, run=runs.new_id(scene.scene.name))
     if options.record is not None:
         return _recorded(scene, options, deployment, progress)
