@@ -228,8 +228,8 @@ SOLVERS = (dye_is_kept_within_its_bounds, frames_and_threads_change_no_bit, shor
 
 def largest_fixed(law: Isotherm, phi: Float, room: Float) -> Float:
     """Return A_d by the formula of each kind in the schema."""
-    if law.function is not None:
-        return law.function(phi, room)
+    if law.law is not None:
+        return np.asarray(law.law.limit(phi, room))
     formulas = {
         "partition": law.first * phi,
         "freundlich": law.first * phi**law.second,

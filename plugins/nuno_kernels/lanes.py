@@ -270,6 +270,12 @@ def lane(builder: Any, value: Any, which: Any) -> Any:
     return builder.extract_element(value, which)
 
 
+@instruction(vector, vector, types.int64, types.float64)
+def with_lane(builder: Any, value: Any, which: Any, number: Any) -> Any:
+    """Return the vector with another number in one lane."""
+    return builder.insert_element(value, number, which)
+
+
 @instruction(types.boolean, vector, types.float64)
 def any_below(builder: Any, value: Any, limit: Any) -> Any:
     """Whether any lane is less than the number `limit`; NaN is not."""

@@ -6,7 +6,7 @@ Amounts are per cell, as fractions of the most that a cell can hold (`v_max`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, Protocol
 
@@ -79,14 +79,14 @@ class Isotherm:
         "freundlich"  k phi^b                   first k, second b
         "langmuir"    V_d K phi / (1 + K phi)   first K
 
-    Any other isotherm has kind "python" and a `function(phi, room)` of arrays (2, ny, nx), room being V_d; it is
-    called at every step.
+    Any other isotherm, of a kind of its own, has a `law`: a named tuple of numbers with a compiled method
+    limit(phi, room), room being V_d, which solvers compile into their kernels (nuno_kernels.formula).
     """
 
     kind: str
     first: Annotated[float, Bounds(0.0)] = 0.0
     second: Annotated[float, Bounds(0.0)] = 0.0
-    function: Callable[[Float, Float], Float] | None = None
+    law: Any = None
 
 
 @dataclass(frozen=True)

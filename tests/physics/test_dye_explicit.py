@@ -30,7 +30,7 @@ from nuno_dye.solvers.diffusion import GHOST
 from nuno_dye.solvers.dyeing import LEVELS, dye
 from nuno_dye.solvers.explicit import Explicit
 from nuno_dye.solvers.solving import CELLS_PER_THREAD, sum_compensated
-from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem, Isotherm
+from nuno_schemas.dye import Cells, Dye, DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 
 
@@ -182,16 +182,6 @@ def test_the_limit_is_where_the_weights_of_some_cell_add_to_one() -> None:
     assert limit * D0 / cells.size**2 * largest_sum(face_values(cells)) == pytest.approx(1.0, rel=1e-14)
     closed = replace(cells, porosity=np.zeros_like(cells.porosity))
     assert Explicit().limit(CONFIG, dyed(closed, None)) == np.inf
-
-
-def test_an_isotherm_in_python_is_followed() -> None:
-    cells = resisted(9, 11)
-    phi, fixed = start(cells)
-    law = Isotherm("python", function=lambda phi, room: room * 2.0 * phi / (1.0 + 2.0 * phi))
-    ours, _ = advance(dyed(cells, law), phi, fixed, 7)
-    known, _ = advance(dyed(cells, LAWS["langmuir"]), phi, fixed, 7)
-    assert known.fixed.max() > 0.0
-    assert np.abs(ours.phi - known.phi).max() < 1e-14 and np.abs(ours.fixed - known.fixed).max() < 1e-14
 
 
 @pytest.mark.parametrize("law", [None, *LAWS])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import fsum
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ from nuno_dye.solvers.implicit import HALVINGS
 from nuno_dye.solvers.long_steps import split_steps
 from nuno_dye.solvers.rkl2 import MOST_STAGES, Rkl2, Rkl2Config, find_coefficients, find_stages
 from nuno_dye.solvers.solving import CELLS_PER_THREAD
+from nuno_kernels.formula import formula
 from nuno_schemas.dye import Cells, Dye, DyeState, DyeSystem, Isotherm, Tortuosity
-from nuno_schemas.errors import BadInput
 
 ONES = np.ones((2, 3, 3))
 
@@ -153,12 +153,39 @@ def test_frames_threads_and_a_resumed_run_change_no_bit(name: str, law: str | No
         assert np.array_equal(state.phi, whole.phi) and np.array_equal(state.fixed, whole.fixed)
 
 
-@pytest.mark.parametrize("name", SECOND)
-def test_an_isotherm_in_python_is_refused_by_name(name: str) -> None:
-    cells, (solver, config, _) = resisted(8, 9), SOLVERS[name]
-    law = Isotherm("python", function=lambda phi, room: room)
-    with pytest.raises(BadInput, match="isotherm in Python"):
-        solver.prepare(config, dyed(cells, law), DyeState(np.zeros((1, *cells.fibre.shape)), np.zeros(1)))
+@formula
+class ByArithmetic(NamedTuple):
+    """Langmuir's isotherm, which takes eight cells at once."""
+
+    K: float
+
+    def limit(self, phi: float, room: float) -> float:
+        return room * (self.K * phi) / (1.0 + self.K * phi)
+
+
+@formula
+class ByCases(NamedTuple):
+    """Langmuir's isotherm, which takes one cell after the other."""
+
+    K: float
+
+    def limit(self, phi: float, room: float) -> float:
+        return room / (1.0 + 1.0 / (self.K * phi)) if phi > 0.0 else 0.0
+
+
+@pytest.mark.quick(name=["explicit", "rkl2"], law=[ByArithmetic])
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("law", [ByArithmetic, ByCases])
+def test_a_formula_fixes_what_the_isotherm_of_its_law_does(name: str, law: type) -> None:
+    """To rounding, of dye that spreads, fills cells and is supplied."""
+    cells, steps = resisted(15, 17), 300 if name == "explicit" else 6
+    ours, own, free = (
+        run(name, replace(system, supply=kept(cells)), *start(cells), 270.0 * limit(system), steps)[0]
+        for isotherm in (Isotherm("langmuir", 2.0), Isotherm("own", law=law(2.0)), Isotherm("partition", 1e3))
+        for system in (dyed(cells, isotherm, adsorption=0.3),)
+    )
+    assert np.abs(ours.phi - own.phi).max() < 1e-12 and np.abs(ours.fixed - own.fixed).max() < 1e-12
+    assert ours.fixed.sum() < 0.9 * free.fixed.sum()
 
 
 def test_coefficients_sum_to_what_a_constant_rate_needs() -> None:

@@ -320,6 +320,7 @@ def test_a_step_that_does_not_end_is_told_with_its_frame(
 
 GIVEN = """\
 from dataclasses import replace
+from nuno_kernels.formula import formula
 from nuno_kernels.terms import register
 from typing import Annotated, NamedTuple
 from nuno_schemas.bodies import *
@@ -339,6 +340,26 @@ class Unknown(NamedTuple):
 class Idle(NamedTuple):
     k: float
 register(Idle, name="idle")
+@formula
+class Law(NamedTuple):
+    k: float
+    def limit(self, phi, room):
+        return self.k * phi
+@formula
+class Shifted(NamedTuple):
+    k: float
+    def limit(self, phi, room):
+        return phi + self.k
+@formula
+class Endless(NamedTuple):
+    k: float
+    def limit(self, phi, room):
+        return phi / 0.0 if phi == 0.0 else phi
+@formula
+class Uncompiled(NamedTuple):
+    k: float
+    def limit(self, phi, room):
+        return self.b * phi
 def cloth():
     x = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0, 0.1], [0.1, 0, 0.1]])
     pairs = np.array([[0, 1], [0, 2], [1, 3], [2, 3], [1, 2]], np.int32)
@@ -377,6 +398,7 @@ FABRIC = ("nuno.models", "build")
 SPRINGS = "replace(cloth(), springs=replace(cloth().springs, {}))"
 HINGES = "replace(cloth(), hinges=replace(cloth().hinges, {}))"
 BODY, DRAWN = ("nuno.colliders", "build"), "replace(tetrahedron(), {})"
+ISOTHERM = ("nuno.isotherms", "prepare")
 MOTION, OWN, CLOTH = ("nuno.motions", "prepare"), ("nuno.forces", "prepare"), ("nuno.dye_cloths", "build")
 TYPED = "Term('own', (Typed({}),))"
 WRONG: list[tuple[tuple[str, str], str, str]] = [
@@ -442,7 +464,15 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (("nuno.integrators", "advance"), "StepReport('fine', 1)",
      "status is 'fine', not ok, diverged, unconverged or left"),
     (("nuno.renderers", "render"), "np.zeros((4, 5, 3))", "it is float64 (4, 5, 3), not uint8 (n, n, 3)"),
-    (("nuno.isotherms", "prepare"), "Isotherm('partition', -1.0)", "first is -1.0, less than 0"),
+    (ISOTHERM, "Isotherm('partition', -1.0)", "first is -1.0, less than 0"),
+    (ISOTHERM, "Isotherm('own', law=print)", "law is builtin_function_or_method, not a named tuple with a compiled"),
+    (ISOTHERM, "Isotherm('own', law=Typed(1.0, 2.0))", "law is Typed, not a named tuple with a compiled limit"),
+    (ISOTHERM, "Isotherm('own', law=Law('1'))", "law.k is str, not float"),
+    (ISOTHERM, "Isotherm('own', law=Law(np.inf))", "law.k is inf"),
+    (ISOTHERM, "Isotherm('own', law=Law(-1.0))", "law.limit falls beyond (0, 0.1)"),
+    (ISOTHERM, "Isotherm('own', law=Shifted(0.1))", "law.limit is 0.1 at (0, 0.1), not 0"),
+    (ISOTHERM, "Isotherm('own', law=Endless(0.1))", "law.limit is nan at (0, 0.1)"),
+    (ISOTHERM, "Isotherm('own', law=Uncompiled(0.1))", "law.limit cannot be compiled: "),
 ]  # fmt: skip
 GOOD = [
     (FABRIC, "cloth()"),
@@ -454,7 +484,8 @@ GOOD = [
     (OWN, TYPED.format("np.zeros((2, 3)), 2, np.zeros(4, np.int32)")),
     (CLOTH, "(cells(), amounts())"),
     (("nuno.integrators", "limit"), "StepLimit(np.inf, 1.0, 0.0)"),
-    (("nuno.isotherms", "prepare"), "Isotherm('partition', 1.0)"),
+    (ISOTHERM, "Isotherm('partition', 1.0)"),
+    (ISOTHERM, "Isotherm('own', law=Law(0.5))"),
 ]
 
 

@@ -1,9 +1,8 @@
 """Isotherms: the limit of fixed dye at the mobile amount phi (dye paper, equations 5 to 8).
 
-The formulas are in the kernels. Another compiled kind needs its constant and `limit_of` in adsorption.py, its limit in
-`limit_beside` and `limit_within` (solvers/fixing.py) and in `solve_limit` and `remove_excess` (solvers/implicit.py), a
-name in `KINDS` (solvers/solving.py), and its formula in `largest_fixed` (nuno_testing/checks.py), against which it is
-tested. One in Python needs none of these: docs/how-to/plugins.md.
+The formulas are in the kernels: limits in adsorption.py and solvers/fixing.py, solutions with them in closed form in
+solvers/fixing.py and solvers/implicit.py, names in `KINDS` (solvers/solving.py). A formula of any package needs none of
+these (nuno_kernels.formula; docs/how-to/plugins.md): solvers find its root by themselves.
 """
 
 from __future__ import annotations

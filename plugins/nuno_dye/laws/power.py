@@ -7,18 +7,23 @@
 
 b log2 x is a sum of two numbers, since an error d in it is a relative error d ln 2 of the power. The series of
 logarithms ends where a term is below 1e-18 of the sum (|s| <= 0.1716), that of 2^r below 5e-18 of 1. Rejected: LLVM's
-power, which calls the scalar one eight times and takes about ten times as long.
+power, which calls the scalar one eight times and takes about ten times as long; formulas' `phi ** b` of other exponents
+than from 0 to 1 do so.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any
 
 from llvmlite import ir
+from numba import types
+from numba.extending import overload
 
-from nuno_kernels import kernel
-from nuno_kernels.lanes import LANES, WIDTH, fused, instruction, splat, spread, vector, where_greater
+from nuno_kernels import forced_inline, kernel
+from nuno_kernels.formula import INLINE
+from nuno_kernels.lanes import LANES, WIDTH, fused, instruction, lane, splat, spread, vector, where_greater, with_lane
 
 SMALLEST = 2.0**-1022
 """The least normal number; powers of smaller ones are 0."""
@@ -110,6 +115,21 @@ def power(base: Any, b: float) -> Any:
     result = shift_exponent(series_exp(((y - n) + y_rest) * LN2), n)
     # Keep NaN, which the bits alone would turn into a number.
     return where_greater(base, splat(_LESSER), result + (base - base))
+
+
+@forced_inline
+def _each_power(base: Any, b: float) -> Any:
+    found = splat(0.0)
+    for j in range(WIDTH):
+        found = with_lane(found, j, lane(base, j) ** b)
+    return found
+
+
+@overload(operator.pow, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
+def _power(base: Any, b: Any) -> Any:
+    if base == vector and isinstance(b, types.Float):
+        return lambda base, b: power(base, b) if 0.0 < b <= 1.0 else _each_power(base, b)
+    return None
 
 
 @kernel

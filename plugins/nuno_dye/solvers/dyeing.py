@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import NOTHING, Law, Uptake, adsorb, adsorb_both
+from nuno_dye.laws.adsorption import NOTHING, Law, Uptake, adsorb, adsorb_both, law_in
 from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
 from nuno_dye.solvers.solving import Upkeep, keep_both
@@ -182,10 +182,9 @@ def pass_over_dye(
     phi, along, down, across = bands.phi[n], bands.along[n], bands.down[n], bands.across[n]
     mobile, rolling, r, empties = bands.mobile[n], bands.rolling[n], bands.across.shape[1], bands.empties
     first, last, up, low = bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1]
-    fixed, fibre, law = phi, phi, Law(NOTHING, 0.0, 0.0, 0.0, 0.0)
+    fixed, fibre, law = phi, phi, law_in(uptake)
     if uptake is not None:
         fixed, fibre = uptake.fixed[n], uptake.fibre[n]
-        law = Law(uptake.kind, uptake.first, uptake.second, uptake.rate, uptake.back)
     for at in range(first - 2 * up * (levels - 1) - 4, last + 2 * low * (levels - 1) + 2 * levels + 2):
         for level in range(levels):
             base, beyond = SCRATCH_ROWS * level, 2 * (levels - 1 - level)

@@ -10,14 +10,13 @@ resumed run chooses the same kernel as the whole run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_dye.laws.adsorption import NOTHING, Law, Uptake
+from nuno_dye.laws.adsorption import NOTHING, Uptake
 from nuno_dye.laws.diffusivity import curve_of, face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
@@ -26,7 +25,6 @@ from nuno_dye.solvers.solving import (
     Banded,
     Derived,
     Upkeep,
-    adsorbs,
     count_bands,
     derive,
     largest_amounts,
@@ -37,7 +35,7 @@ from nuno_dye.solvers.solving import (
     sum_compensated,
     use_threads,
 )
-from nuno_schemas.dye import Cells, DyeReport, DyeState, DyeSystem
+from nuno_schemas.dye import DyeReport, DyeState, DyeSystem
 from nuno_schemas.fabric import Float, Memory
 from nuno_schemas.plugin import Config
 
@@ -124,21 +122,15 @@ def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: fl
     cut = Cut(phi.shape, count_bands(system), 2 * LEVELS if limited else GHOST)
     bands = _layout(work, k, limited, dt, scale, cut.number)
     uptake, upkeep = _uptake(work, k, cut, scale), _upkeep(work, k, cut)
-    function = one.isotherm.function if one.isotherm is not None and adsorbs(one) else None
-    for count in [steps] if function is None or not steps else [1] * steps:
-        if system.leave[0]:
-            break
-        if function is not None and count:
-            _adsorb(phi, fixed, cells, law_of(one, scale), function)
-        bands = bands._replace(phi=cut.fill(phi)[0])
-        uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
-        if isinstance(bands, DyeBands):
-            dye(count, bands, uptake, upkeep, curve, system.leave)
-        else:
-            diffuse(count, bands, uptake, upkeep, system.leave)
-        read_bands(bands, bands.phi, phi)
-        if uptake is not None:
-            read_bands(bands, uptake.fixed, fixed)
+    bands = bands._replace(phi=cut.fill(phi)[0])
+    uptake = uptake and uptake._replace(fixed=cut.fill(fixed)[0])
+    if isinstance(bands, DyeBands):
+        dye(steps, bands, uptake, upkeep, curve, system.leave)
+    else:
+        diffuse(steps, bands, uptake, upkeep, system.leave)
+    read_bands(bands, bands.phi, phi)
+    if uptake is not None:
+        read_bands(bands, uptake.fixed, fixed)
     if upkeep is None:
         return 0.0
     given, lost = (read_bands(bands, part, np.empty(phi.shape)) for part in (upkeep.given, upkeep.lost))
@@ -158,12 +150,3 @@ def _layout(work: ExplicitWork, k: int, limited: bool, dt: float, scale: float, 
         )
         work.bands[k, limited] = dt, bands
     return bands
-
-
-def _adsorb(phi: Float, fixed: Float, cells: Cells, law: Law, function: Callable[[Float, Float], Float]) -> None:
-    """Fix dye like nuno_dye.laws.adsorption.adsorb, by an isotherm in Python."""
-    capacity = cells.fixed_room
-    most = np.minimum(capacity, function(phi, capacity)) - fixed
-    taken = np.maximum(np.minimum(np.minimum(law.rate * (phi - law.back * fixed), most), phi), 0.0)
-    phi -= taken
-    fixed += taken

@@ -13,25 +13,61 @@ from typing import Any
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, limit_of, may_bind
+from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, law_in, limited, or_own
 from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_kernels import forced_inline, kernel, parallel_kernel
+from nuno_kernels.formula import limit_at
 from nuno_kernels.lanes import higher, lower, splat
 from nuno_schemas.fabric import Float
 
 ROUNDS = 60
 """The most Newton steps; five or six suffice."""
+OWN_ROUNDS = 150
+"""The most steps to a formula's root: a third of them bisect, to the last bit."""
 
 
 @forced_inline
 def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
     """Return the uptake of eight cells. A tuple of arrays as argument would make the call cost more than its work."""
     taken = lower(law.rate * (phi - law.back * fixed), pace * (room - fixed))
-    if law.kind != FREUNDLICH or may_bind(law.first, phi, fixed, taken, pace):
-        taken = lower(taken, pace * (limit_of(law, phi, room) - fixed))
-    return higher(taken, splat(0.0))
+    return higher(limited(law, phi, fixed, room, taken, pace), splat(0.0))
 
 
+@kernel
+def own_beside(law: Law, phi: float, room: float) -> float:
+    """Return a formula's limit at mobile dye phi."""
+    limit: float = limit_at(law.first, max(phi, 0.0), room)
+    return limit
+
+
+@kernel
+def own_root(law: Law, total: float, ways: float, room: float) -> float:
+    """Return the x >= 0 with ways x + A_d(x) = total of a formula, total > 0.
+
+    The left side rises, from 0 to at least the total at x = total / ways. Regula falsi finds where it crosses, with
+    half the value of an end that stays twice (Illinois); every third step bisects, as A_d may begin at any slope.
+    """
+    low, high, below, side = 0.0, total / ways, -total, 0
+    above, x = own_beside(law, high, room), high
+    for turn in range(OWN_ROUNDS):
+        if not above > 0.0 or high - low <= 1e-15 * high:
+            break
+        x = 0.5 * (low + high) if turn % 3 == 2 else low - below * (high - low) / (above - below)
+        value = ways * x + own_beside(law, x, room) - total
+        if value < 0.0:
+            low, below, above, side = x, value, above * (0.5 if side < 0 else 1.0), -1
+        else:
+            high, above, below, side = x, value, below * (0.5 if side > 0 else 1.0), 1
+    return x
+
+
+@kernel
+def own_within(law: Law, total: float, room: float) -> float:
+    """Return the A with A = A_d(S - A) of a formula."""
+    return total - own_root(law, total, 1.0, room) if total > 0.0 else 0.0
+
+
+@or_own(own_beside)
 @kernel
 def limit_beside(law: Law, phi: float, room: float) -> float:
     """Return A_d at mobile dye phi."""
@@ -43,6 +79,7 @@ def limit_beside(law: Law, phi: float, room: float) -> float:
     return room * law.first * phi / (1.0 + law.first * phi)
 
 
+@or_own(own_within)
 @kernel
 def limit_within(law: Law, total: float, room: float) -> float:
     """Return the A with A = A_d(S - A)."""
@@ -70,7 +107,7 @@ def settle_row(
 ) -> None:
     """Bring a row's fixed dye to its limit; `before` is mobile dye at the step's start, `begun` fixed dye then."""
     held, fibre = begun.fixed, begun.fibre
-    law = Law(begun.kind, begun.first, begun.second, begun.rate, begun.back)
+    law = law_in(begun)
     for c in range(LEFT, LEFT + nx):
         mobile, bound, room = phi[row, c], fixed[row, c], fibre[row, c]
         if not (mobile > law.back * bound and room > bound):
@@ -106,7 +143,7 @@ def bound_row(phi: Float, before: Float, fixed: Float, begun: Uptake, floor: Flo
     dt / s^2 (Legendre's polynomials), 5 % of it if fibre fills in the first half hour.
     """
     held, fibre = begun.fixed, begun.fibre
-    law = Law(begun.kind, begun.first, begun.second, begun.rate, begun.back)
+    law = law_in(begun)
     for c in range(LEFT, LEFT + nx):
         least, total = held[row, c], phi[row, c] + fixed[row, c]
         bound = min(max(fixed[row, c], least), max(fibre[row, c], least))

@@ -23,11 +23,11 @@ import numpy as np
 from numba import prange
 from pydantic import BaseModel, Field
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, PARTITION, Law, Uptake
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, OWN, PARTITION, Law, Uptake, law_in, or_own
 from nuno_dye.laws.diffusivity import Curve, amount, potential, raise_levels
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows
-from nuno_dye.solvers.fixing import limit_beside
+from nuno_dye.solvers.fixing import limit_beside, own_root
 from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
 from nuno_dye.solvers.solving import sum_compensated
 from nuno_kernels import kernel, parallel_kernel
@@ -57,12 +57,12 @@ def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
     """Return A at mobile dye x."""
     initial, capacity, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
     free = max(initial, (initial + rate * x) / (1.0 + uptake.back * rate))
-    law = Law(uptake.kind, uptake.first, uptake.second, rate, uptake.back)
-    limit = min(limit_beside(law, max(x, 0.0), capacity), capacity)
+    limit = min(limit_beside(law_in(uptake), max(x, 0.0), capacity), capacity)
     held: float = max(least, min(limit, free))
     return held
 
 
+@or_own(own_root)
 @kernel
 def solve_limit(law: Law, total: float, ways: float, room: float) -> float:
     """Return the x >= 0 with ways x + A_d(x) = total, total > 0."""
@@ -91,8 +91,7 @@ def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, a
     if uptake is None or uptake.fibre[at, c] <= least:
         return total / ways
     initial, room, rate = uptake.fixed[at, c], uptake.fibre[at, c], uptake.rate
-    law = Law(uptake.kind, uptake.first, uptake.second, rate, uptake.back)
-    back, share = uptake.back, 1.0 + uptake.back * rate
+    law, back, share = law_in(uptake), uptake.back, 1.0 + uptake.back * rate
     x: float = total / ways
     if x > back * initial:
         x = (total + back * initial * rate / share) / (ways + rate / share)
@@ -138,7 +137,11 @@ def remove_excess(law: Law, floor: Float, least: Float, fixed: Float, room: Floa
     Return its amount, which the supply saves. Otherwise it would return from the fibre into a cell that is already at
     its floor, and raise it and its limit.
     """
-    limit = law.first * (floor**law.second if law.kind == FREUNDLICH else floor)
+    first: Any = law.first
+    if law.kind == OWN:
+        limit = first.limit(floor, room)
+    else:
+        limit = first * (floor**law.second if law.kind == FREUNDLICH else floor)
     if law.kind == LANGMUIR:
         limit = room * limit / (1.0 + limit)
     excess = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)

@@ -265,7 +265,7 @@ class LongSteps(solving.Banded):
         """Return memory: `highest` (dyes,), the largest amount that any cell can have had; `met` (2,), sums of capacity
         and floors in the last step; `since` (1,), steps since these changed. Raises BadInput.
         """
-        solving.require_compiled_laws(system, self.name)
+        solving.require_laws(system)
         arrays = {"highest": solving.largest_amounts(state.phi), "met": np.full(2, np.nan), "since": np.zeros(1)}
         return Memory(arrays, Layout(config, system), {"since": Bounds(0.0)})
 

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION, Law
+from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, OWN, PARTITION, Law
 from nuno_dye.laws.diffusivity import Faces, face_sums, face_values
 from nuno_kernels import kernel, threads_available
 from nuno_kernels.lanes import WIDTH, higher, load, store
@@ -75,8 +75,8 @@ def keep_row(phi: Float, floor: Float, given: Float, lost: Float, start: int, ro
 
 # Data and reports that all dye solvers share.
 
-KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR, "python": NOTHING}
-"""Isotherms by kind; one in Python is evaluated between steps."""
+KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR}
+"""Isotherms by kind; any other is a formula."""
 Status = Literal["ok", "diverged", "unconverged"]
 CELLS_PER_THREAD = 10_000
 """A pass over fewer takes some tens of microseconds, not much longer than waking a thread."""
@@ -146,25 +146,17 @@ def law_of(one: Dye, scale: float) -> Law:
     law = one.isotherm
     if law is None or not adsorbs(one):
         return Law(NOTHING, 0.0, 0.0, 0.0, 0.0)
-    kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS[law.kind]
-    return Law(kind, law.first, law.second, one.adsorption * scale, float(one.uptake == "difference"))
+    kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS.get(law.kind, OWN)
+    first = law.first if law.law is None else law.law
+    return Law(kind, first, law.second, one.adsorption * scale, float(one.uptake == "difference"))
 
 
 def require_laws(system: DyeSystem) -> None:
-    """Raise BadInput for an isotherm of an unknown kind."""
+    """Raise BadInput for an isotherm of an unknown kind that is no formula."""
     for one in system.dyes:
-        law = one.isotherm
-        if law is not None and (law.kind not in KINDS or (law.kind == "python") != (law.function is not None)):
-            raise BadInput("no kernel knows this isotherm", value=law.kind, limit=", ".join(KINDS))
-
-
-def require_compiled_laws(system: DyeSystem, solver: str) -> None:
-    """Raise BadInput for an isotherm that no kernel has, and for one in Python."""
-    require_laws(system)
-    for one in system.dyes:
-        if one.isotherm is not None and one.isotherm.kind == "python":
-            remedy = "solver: explicit, or one of the isotherms that come with it"
-            raise BadInput(f"{solver} knows no isotherm in Python", value=one.name, remedy=remedy)
+        if (law := one.isotherm) is not None and (law.kind in KINDS) == (law.law is not None):
+            limit = f"{', '.join(KINDS)}, or another kind with a law (nuno_kernels.formula)"
+            raise BadInput("no kernel knows this isotherm", value=law.kind, limit=limit)
 
 
 def largest_amounts(amounts: Float) -> Float:

@@ -25,6 +25,7 @@ from nuno.plugin_contract.values import (
     check_number,
     check_skins,
     check_type,
+    evaluate_formula,
 )
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
 from nuno_schemas.dye import Cells, DyeReport, DyeState, Isotherm, Supply
@@ -115,8 +116,6 @@ class Foreign:
             return replace(result, pose=lambda t: self._pose(result.pose, len(result.joints), t))
         if isinstance(result, BodyShape) and (pose := result.pose) is not None:
             return replace(result, pose=lambda t: self._pose(pose, len(result.frames), t))
-        if isinstance(result, Isotherm) and result.function is not None:
-            return replace(result, function=self._law(result.function))
         return result
 
     @contextlib.contextmanager
@@ -149,15 +148,6 @@ class Foreign:
         for name, values in before.items():
             if not np.array_equal(read[name].view(np.int64), values.view(np.int64)):  # of bits NaN is equal to itself
                 raise RunFailed(f"{self._label}: {what} writes into {name}, which it may only read")
-
-    def _law(self, function: Callable[[Float, Float], Float]) -> Callable[[Float, Float], Float]:
-        def fixed(phi: Float, room: Float) -> Float:
-            with self._unchanged("its isotherm", phi=phi, room=room):
-                result: Float = self._call("its isotherm", function, phi, room)
-            self._check("its isotherm", result, phi.shape, bool(np.isfinite(phi).all()))
-            return result
-
-        return fixed
 
     def _pose(self, pose: Callable[..., Any], number: int, t: float) -> tuple[Float, Float]:
         rotation, translation = self._call("its pose", pose, t)
@@ -348,11 +338,21 @@ def check_resists(resists: Sequence[Any], cells: Cells) -> None:
         check_array(f"[{i}]", values, np.float64, cells.fibre.shape[1:], Bounds(0.0, 1.0))
 
 
+AMOUNTS = np.linspace(0.0, 1.0, 101)
+"""Mobile amounts at which an isotherm is checked."""
+
+
 def check_isotherm(isotherm: Isotherm) -> None:
-    """Check an isotherm's numbers, or its function."""
+    """Check an isotherm's numbers, and the values of its law: 0 without dye, and none that falls as phi grows."""
     check_layout("", isotherm)
-    if isotherm.kind == "python" and not callable(isotherm.function):
-        raise ContractError("function is none, of kind 'python'")
+    if isotherm.law is None:
+        return
+    for room in (0.1, 1.0):
+        limit = evaluate_formula("law", isotherm.law, "limit", AMOUNTS, room)
+        if limit[0] != 0.0:
+            raise ContractError(f"law.limit is {limit[0]:g} at (0, {room:g}), not 0: fibre would hold dye without any")
+        if (falls := np.flatnonzero(np.diff(limit) < 0.0)).size:
+            raise ContractError(f"law.limit falls beyond ({AMOUNTS[falls[0]]:g}, {room:g})")
 
 
 def _lengths(cells: Cells, dyes: int) -> dict[str, int]:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from nuno_schemas.bodies import SKIN, DistanceField, Geometry
+from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import BodyShape
 
@@ -150,6 +151,27 @@ def check_field(what: str, field: DistanceField) -> None:
     parts, leaves = field.child[cut], -1 - field.child[~cut].astype(np.int64)
     if (parts <= np.flatnonzero(cut)).any() or (parts > len(cut) - 8).any() or (leaves >= len(field.corners)).any():
         raise ContractError(f"{what}.child: cells lead nowhere")
+
+
+def evaluate_formula(what: str, formula: Any, method: str, *arguments: Any) -> Float:
+    """Return the values of a formula's compiled method (nuno_kernels.formula). Raises ContractError for what is no
+    named tuple of numbers with that method, and for values that are not finite.
+    """
+    kind, methods = type(formula), getattr(formula, "kernels", None)
+    if not isinstance(methods, Mapping) or method not in methods:
+        needed = f"a named tuple with a compiled {method}: nuno_kernels.formula"
+        raise ContractError(f"{what} is {kind.__name__}, not {needed}")
+    for name, value in zip(kind._fields, formula, strict=True):
+        check_type(f"{what}.{name}", value, float)
+        check_number(f"{what}.{name}", value)
+    try:
+        values: Float = getattr(formula, method)(*arguments)
+    except Exception as error:  # the compiler's, whose first line alone says little
+        raise ContractError(f"{what}.{method} cannot be compiled: {' '.join(str(error).split())[-300:]}") from None
+    if (bad := np.flatnonzero(~np.isfinite(values))).size:
+        place = ", ".join(f"{np.broadcast_to(one, values.shape).flat[bad[0]]:g}" for one in arguments)
+        raise ContractError(f"{what}.{method} is {values.flat[bad[0]]} at ({place})")
+    return values
 
 
 def check_skins(shape: Geometry | BodyShape) -> None:
