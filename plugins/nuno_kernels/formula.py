@@ -24,6 +24,7 @@ from numba.extending import overload
 from nuno_kernels import FLAGS, forced_inline, kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, lane, splat, vector, with_lane
+from nuno_schemas.bodies import FORMS
 from nuno_schemas.fabric import Float
 
 T = TypeVar("T", bound=type)
@@ -39,16 +40,19 @@ class Methods(dict[str, Any]):
 
 
 def formula(kind: T) -> T:
-    """Compile a named tuple's method `distance(self, x, y, z)` or `limit(self, phi, room)`. Raises TypeError for a
-    class without either.
+    """Compile a named tuple's method `distance(self, x, y, z)`, also `gradient` of that if it has one, or `limit(self,
+    phi, room)`. Raises TypeError for a class without them.
     """
-    methods = Methods({name: forced_inline(method) for name, method in vars(kind).items() if name in EVALUATED})
-    if not methods:
+    methods = Methods({name: forced_inline(method) for name, method in vars(kind).items() if callable(method)
+                       and name in (*EVALUATED, "gradient")})  # fmt: skip
+    if not methods.keys() & EVALUATED.keys():
         raise TypeError(f"{kind.__qualname__} has no {' and no '.join(EVALUATED)}, and so is no formula")
     by_reference(kind)
     kind.kernels = methods  # type: ignore[attr-defined]
-    for name in methods:
-        setattr(kind, name, _on_arrays(EVALUATED[name]))
+    for name, method in methods.items():
+        setattr(kind, name, _on_arrays(EVALUATED[name]) if name in EVALUATED else method)
+    if "distance" in methods:
+        FORMS[f"{kind.__module__}:{kind.__qualname__}"] = kind
     return kind
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +143,20 @@ class DistanceField:
         return self.child.nbytes + self.corners.nbytes
 
 
+@runtime_checkable
+class ClosedForm(Protocol):
+    """A signed distance [m] by a formula, negative inside: a named tuple of numbers with this compiled method
+    (nuno_kernels.formula).
+    """
+
+    def distance(self, x: Any, y: Any, z: Any) -> Any:
+        """Return the distance from points in the frame [m]: numbers, or arrays that broadcast."""
+        ...
+
+
+FORMS: dict[str, Callable[..., ClosedForm]] = {}
+"""The classes of closed forms in this process by "module:name", by which messages name them."""
+
 CAPSULE, PLANE, BOX, MESH, FIELD, SKIN = 0, 1, 2, 3, 4, 5
 OF_TRIANGLES = (MESH, FIELD, SKIN)
 """Kinds of primitives that have a mesh; the mesh of a FIELD may have holes, and that of a SKIN bends."""
@@ -171,8 +185,8 @@ class Geometry:
     vertices   (v, 3)        vertices of all meshes, in their primitives' frames, of skins in their bind pose [m]
     faces      (t, 3) int32  triangles of the meshes, counter-clockwise seen from outside, each MESH and SKIN closed
     owner      (t,) int32    primitive of each triangle
-    fields                   distance fields of the FIELD primitives, in their order, None if contact uses the
-                             triangles; empty if the bodies are only drawn
+    fields                   distances of the FIELD primitives, in their order, sampled or by a closed form; None if
+                             contact uses the triangles; empty if the bodies are only drawn
     skins                    skins of the SKIN primitives, in their order
     """
 
@@ -190,14 +204,14 @@ class Geometry:
     vertices: Annotated[Float, "v", 3] = field(default_factory=partial(no_rows, np.float64, 3))
     faces: Annotated[Int, "t", 3, Bounds(0, below="v")] = field(default_factory=partial(no_rows, np.int32, 3))
     owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
-    fields: tuple[DistanceField | None, ...] = ()
+    fields: tuple[DistanceField | ClosedForm | None, ...] = ()
     skins: tuple[Skin, ...] = ()
 
     def skin(self, primitive: int) -> Skin | None:
         """Return the skin of a SKIN primitive, None for others."""
         return self.skins[int((self.kind[:primitive] == SKIN).sum())] if self.kind[primitive] == SKIN else None
 
-    def distance_field(self, primitive: int) -> DistanceField | None:
+    def distance_field(self, primitive: int) -> DistanceField | ClosedForm | None:
         """Return the distance field that contact with a primitive reads, or None."""
         if self.kind[primitive] != FIELD or not self.fields:
             return None

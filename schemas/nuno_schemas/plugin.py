@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_schemas.bodies import CAPSULE, SKIN, DistanceField, Geometry, Poses, Skin, no_rows
+from nuno_schemas.bodies import CAPSULE, SKIN, ClosedForm, DistanceField, Geometry, Poses, Skin, no_rows
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.live import Live
@@ -249,7 +249,7 @@ class BodyShape:
     vertices: Annotated[Float, "v", 3] = field(default_factory=partial(no_rows, np.float64, 3))
     faces: Annotated[Int, "t", 3, Bounds(0, below="v")] = field(default_factory=partial(no_rows, np.int32, 3))
     owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
-    fields: tuple[DistanceField, ...] = ()
+    fields: tuple[DistanceField | ClosedForm, ...] = ()
     notes: tuple[str, ...] = ()
     """Remarks for the user, such as where a mesh is open."""
     skins: tuple[Skin, ...] = ()

@@ -346,6 +346,11 @@ class Law(NamedTuple):
     def limit(self, phi, room):
         return self.k * phi
 @formula
+class Lost(NamedTuple):
+    k: float
+    def distance(self, x, y, z):
+        return x / (x * x + y * y + z * z)
+@formula
 class Shifted(NamedTuple):
     k: float
     def limit(self, phi, room):
@@ -400,6 +405,7 @@ HINGES = "replace(cloth(), hinges=replace(cloth().hinges, {}))"
 BODY, DRAWN = ("nuno.colliders", "build"), "replace(tetrahedron(), {})"
 ISOTHERM = ("nuno.isotherms", "prepare")
 MOTION, OWN, CLOTH = ("nuno.motions", "prepare"), ("nuno.forces", "prepare"), ("nuno.dye_cloths", "build")
+FORM = "replace(tetrahedron(), kind=np.full(1, FIELD, np.int8), fields=({},))"
 TYPED = "Term('own', (Typed({}),))"
 WRONG: list[tuple[tuple[str, str], str, str]] = [
     (FABRIC, "None", "it is NoneType, not Fabric"),
@@ -441,6 +447,9 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (BODY, "replace(ball(), pose=print)", "pose is one of a body without a motion"),
     (BODY, "replace(ball(), kind=np.full(1, PLANE, np.int8))", "b is no unit normal at row 0"),
     (BODY, "replace(ball(), kind=np.full(1, FIELD, np.int8))", "fields are 0, of 1 primitives that have one"),
+    (BODY, FORM.format("print"), "fields[0] is builtin_function_or_method, not a named tuple with a compiled distance"),
+    (BODY, FORM.format("Law(1.0)"), "fields[0] is Law, not a named tuple with a compiled distance"),
+    (BODY, FORM.format("Lost(1.0)"), "fields[0].distance is nan at (0, 0, 0)"),
     (BODY, DRAWN.format("faces=tetrahedron().faces + 1"), "faces is 4 at row 1, outside 0 to 3"),
     (BODY, DRAWN.format("owner=np.ones(4, np.int32)"), "owner is 1 at row 0, outside 0 to 0"),
     (MOTION, "replace(mover(), parents=np.zeros(1, np.int32))", "parents is 0 at row 0, which does not come before it"),

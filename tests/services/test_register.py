@@ -120,3 +120,24 @@ def test_kernels_of_source_in_no_file_are_compiled() -> None:
     source = "from nuno_kernels import kernel\n@kernel\ndef double(x):\n    return 2.0 * x\nprint(double(1.5))"
     ran = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, timeout=120)
     assert ran.stdout == "3.0\n"
+
+
+CELL = """
+from typing import NamedTuple
+from nuno_kernels.formula import formula
+@formula
+class Flat(NamedTuple):
+    height: float
+    def distance(self, x, y, z):
+        return {}
+"""
+
+
+def test_a_cell_that_runs_again_with_other_code_is_compiled_anew() -> None:
+    """The classes have one name, and are known to compiled code as two."""
+    found = []
+    for code in ("y - self.height", "y - 2.0 * self.height"):
+        cell: dict[str, Any] = {"__name__": __name__}
+        exec(CELL.format(code), cell)
+        found.append(float(cell["Flat"](1.0).distance(0.0, 5.0, 0.0)))
+    assert found == [4.0, 3.0]

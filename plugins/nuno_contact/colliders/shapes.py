@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_contact.quantities import Direction, Point, Size
-from nuno_schemas.bodies import BOX, CAPSULE, PLANE
+from nuno_geometry.isosurface import find_isosurface
+from nuno_schemas.bodies import BOX, CAPSULE, FIELD, PLANE, ClosedForm
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Float
 from nuno_schemas.plugin import BodyShape, Config, Files, Mover
@@ -78,6 +81,31 @@ def one_primitive(config: OnJoint, mover: Mover | None, kind: int, a: object, b:
         b=np.array([b], np.float64),
         radius=np.array([radius]),
     )
+
+
+FINE, COARSE, THIN = 160, 48, 16
+"""Cells of a closed form's mesh: along its longest side from COARSE to FINE, so that the shortest one has THIN."""
+
+
+def closed_form(config: OnJoint, mover: Mover | None, form: ClosedForm, half: Sequence[float]) -> BodyShape:
+    """Return a body by its signed distance in the joint's frame (nuno_kernels.formula), which reaches at most `half`
+    [m] from the origin along x, y and z. Penalty contact goes by the distance; `sliding`, contact as cloth and pictures
+    go by a mesh of it.
+
+    Raises BadInput for a form that encloses nothing, or that goes on beyond `half`.
+    """
+    reach = np.array(half, np.float64)
+    spacing = float(np.clip(2.0 * reach.min() / THIN, 2.0 * reach.max() / FINE, 2.0 * reach.max() / COARSE))
+    wide = reach + 1.5 * spacing
+    value = form.distance(*np.meshgrid(*(np.linspace(-r, r, COARSE) for r in wide), sparse=True))
+    inside = value <= 0.0
+    if not inside.any() or inside.sum() != inside[1:-1, 1:-1, 1:-1].sum():
+        problem, limit = "a closed form encloses something, and nothing beyond its bounds", "negative inside alone"
+        raise BadInput(problem, field="half", value=reach.tolist(), limit=limit)
+    x, faces = find_isosurface(form.distance, -wide, wide, spacing)
+    low, high = np.minimum(x.min(axis=0), -reach), np.maximum(x.max(axis=0), reach)
+    shape = one_primitive(config, mover, FIELD, low, high, 0.0)
+    return replace(shape, vertices=x, faces=faces, owner=np.zeros(len(faces), np.int32), fields=(form,))
 
 
 class Capsule:

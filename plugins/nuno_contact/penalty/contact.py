@@ -42,7 +42,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.distance_fields.sample import Fields, join_fields
+from nuno_contact.distance_fields.sample import join_fields
 from nuno_contact.margins import round_margin, roundness
 from nuno_contact.penalty.distance import (  # fmt: skip
     BOX,
@@ -51,6 +51,8 @@ from nuno_contact.penalty.distance import (  # fmt: skip
     PLANE,
     Bodies,
     Deepest,
+    Fields,
+    Volumes,
     are_apart,
     find_bounds,
     lower_box,
@@ -62,7 +64,7 @@ from nuno_contact.penalty.distance import (  # fmt: skip
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.terms import over_blocks, register
-from nuno_schemas.bodies import DistanceField, Geometry, Poses
+from nuno_schemas.bodies import ClosedForm, DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
 
@@ -198,7 +200,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
         elif kind[p] != FIELD:
             lower_plane(x, low, high, posed, p, deepest)
         elif fields is not None:
-            lower_field(x, low, high, posed, p, frames, contact.frame[p], fields, deepest)
+            lower_field(fields, int(posed[p, 7]), x, low, high, posed, p, frames, contact.frame[p], deepest)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
             deepest.primitive[i] = -1
@@ -394,7 +396,8 @@ class Contact(NamedTuple):
     tally: NDArray[np.int64]
     """(B, 2) vertices touching after the last step; evaluations without a normal so far"""
     fields: Fields | None = None
-    """distance fields, read only; None where no body is one: the code that reads them is then not compiled"""
+    """distance fields, read only; None where no body is one: the code that reads them is then not compiled, as is that
+    of closed forms where none is"""
 
 
 def count_contacts(contact: Contact) -> dict[str, int]:
@@ -490,9 +493,11 @@ def make_contact(
     kind, a, b, radius = g.kind[order], g.a[order], g.b[order], g.radius[order].astype(np.float64)
     of_field = kind == FIELD
     a, b = np.where(of_field[:, None], 0.5 * (a + b), a), np.where(of_field[:, None], 0.5 * (b - a), b)
-    # A field's surface may lie outside of its mesh by the tolerance.
-    radius[of_field] = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
     fields = [field for field in g.fields if field is not None]
+    closed = np.array([not isinstance(field, DistanceField) for field in fields], bool)
+    numbers = np.where(closed, -np.cumsum(closed), np.cumsum(~closed) - 1)
+    which = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
+    radius[of_field] = numbers[which]
     all_have, spread = spread is None, np.zeros(n) if spread is None else spread
     ball, cosine = np.where(kind == CAPSULE, radius, b.min(axis=1)), np.where(kind == BOX, CORNER, 1.0)
     for p in np.flatnonzero(of_field).tolist():
@@ -500,8 +505,8 @@ def make_contact(
     most = float(spread.max(initial=0.0))
     widest = np.array([round_margin(most, *pair) for pair in zip(ball.tolist(), cosine.tolist(), strict=True)])
     widest[kind == PLANE] = 0.0
-    for p in np.flatnonzero(of_field).tolist():
-        b[p] += fields[int(radius[p])].tolerance
+    # A sampled field's surface may lie outside of its mesh by the tolerance.
+    b[of_field] += np.array([getattr(field, "tolerance", 0.0) for field in fields])[which, None]
 
     def floats(array: Float) -> Float:
         return np.array(array, np.float64, order="C")
@@ -534,9 +539,12 @@ def make_contact(
     )
 
 
-def pack_fields(fields: Sequence[DistanceField]) -> Fields:
-    """Return distance fields whose arrays are read-only: solvers share them."""
-    joined = join_fields(fields)
-    for array in joined:
+def pack_fields(fields: Sequence[DistanceField | ClosedForm]) -> Fields:
+    """Return distance fields, at least one, whose arrays are read-only: solvers share them."""
+    sampled = [field for field in fields if isinstance(field, DistanceField)]
+    joined = join_fields(sampled) if sampled else None
+    for array in joined or ():
         array.setflags(write=False)
-    return joined
+    if joined is not None and len(sampled) == len(fields):
+        return joined
+    return Volumes(joined, tuple(field for field in fields if not isinstance(field, DistanceField)))

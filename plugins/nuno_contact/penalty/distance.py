@@ -5,15 +5,19 @@ time.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from nuno_contact.distance_fields.sample import Fields, sample, sample_distance
+from nuno_contact.distance_fields.sample import Fields as SampledFields
+from nuno_contact.distance_fields.sample import sample, sample_distance
 from nuno_contact.margins import round_margin
 from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
+from nuno_kernels.formula import INLINE, distance_of
 from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat
 from nuno_schemas.fabric import Float, Int
 
@@ -31,7 +35,7 @@ from nuno_schemas.fabric import Float, Int
 #     0:3   capsule end a, plane point, or centre of a box or field [m]
 #     3:6   capsule b - a, plane normal (unit), or half extents of a box or field in the axes of its frame
 #     6     1 / |b - a|^2 of a capsule, 0 for a sphere; cosine of a box or field (nuno_contact.margins)
-#     7     radius [m]; of a distance field, its number
+#     7     radius [m]; of a distance field, its number, that of a closed form below 0
 #     8:14  lowest and highest corner of its bounds, infinite for a plane; with the largest margin
 #     14    radius of a box or field (nuno_contact.margins) [m]
 #     15    a margin that is the same for all vertices that have one [m]
@@ -244,12 +248,91 @@ class Bodies(NamedTuple):
 
 
 @forced_inline
+def read_sampled(fields: SampledFields, number: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return distance [m] and gradient of a sampled field."""
+    return sample(x, y, z, number, fields)
+
+
+STEP = 1e-6
+"""Step of the differences for a closed form's gradient [m], whose error is about 1e-10 at a radius of centimetres. At
+an edge those to one side could vanish in all directions."""
+
+
+def read_form(form: Any, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return distance [m] and gradient of a closed form; kernels call it."""
+    return float(form.distance(x, y, z)), *form.gradient(x, y, z)
+
+
+@overload(read_form, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
+def _read_form(form: Any, x: Any, y: Any, z: Any) -> Any:
+    gradient = form.instance_class.kernels.get("gradient", differences)
+
+    def read(form: Any, x: Any, y: Any, z: Any) -> Any:
+        gx, gy, gz = gradient(form, x, y, z)
+        return distance_of(form, x, y, z), gx, gy, gz
+
+    return read
+
+
+@kernel
+def differences(form: Any, x: float, y: float, z: float) -> Vector:
+    """Return the gradient of a closed form by differences."""
+    return (
+        (distance_of(form, x + STEP, y, z) - distance_of(form, x - STEP, y, z)) / (2.0 * STEP),
+        (distance_of(form, x, y + STEP, z) - distance_of(form, x, y - STEP, z)) / (2.0 * STEP),
+        (distance_of(form, x, y, z + STEP) - distance_of(form, x, y, z - STEP)) / (2.0 * STEP),
+    )
+
+
+class Volumes(NamedTuple):
+    """The fields of a scene with closed forms: a `number` below 0 is that of form -1 - number."""
+
+    sampled: SampledFields | None
+    forms: tuple[Any, ...]
+
+
+Fields = SampledFields | Volumes
+
+
+def by_number(sampled: Any, own: Any) -> Any:
+    """Return a function f(fields, number, ...) for kernels: `sampled` of a sampled field, `own` of a closed form.
+
+    A form's parameters are read once, in front of `own`: as a reference each use would read them anew.
+    """
+
+    def called(fields: Any, number: int, *rest: Any) -> Any:
+        raise TypeError("only compiled code can call this: wrap it in a kernel")
+
+    @overload(called, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
+    def typed(fields: Any, number: Any, *rest: Any) -> Any:
+        if fields.instance_class is SampledFields:
+            return lambda fields, number, *rest: sampled(fields, number, *rest)
+        kinds = [kind.instance_class for kind in fields.types[1].types]
+        calls = [
+            f"own(kinds{k}({', '.join(f'fields.forms[{k}].{name}' for name in kind._fields)}), *rest)"
+            for k, kind in enumerate(kinds)
+        ]
+        if not isinstance(fields.types[0], types.NoneType):
+            calls.append("sampled(fields.sampled, number, *rest)")
+        lines = [f"    if number == {-1 - k}:\n        return {call}" for k, call in enumerate(calls[:-1])]
+        scope: dict[str, Any] = {f"kinds{k}": kind for k, kind in enumerate(kinds)} | {"own": own, "sampled": sampled}
+        exec("\n".join(["def chosen(fields, number, *rest):", *lines, f"    return {calls[-1]}"]), scope)
+        return scope["chosen"]
+
+    return called
+
+
+read_field = by_number(read_sampled, read_form)
+"""read_field(fields, number, x, y, z) -> distance [m] and gradient"""
+
+
+@forced_inline
 def field_reading(
     at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
 ) -> Reading:
     """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
-    distance, gx, gy, gz = sample(x, y, z, int(posed[p, 7]), fields)
+    distance, gx, gy, gz = read_field(fields, int(posed[p, 7]), x, y, z)
     distance -= margin + round_margin(spread, posed[p, 14], posed[p, 6])
     size = math.sqrt(gx * gx + gy * gy + gz * gz)
     if not size > 0.0:
@@ -280,11 +363,12 @@ def primitive_distance(
 
 
 @kernel
-def lower_field(
-    x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, fields: Fields, deepest: Deepest
-) -> None:
+def lower_sampled(
+    fields: SampledFields, number: int, x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int,
+    deepest: Deepest,
+) -> None:  # fmt: skip
     """Lower the distances of vertices [low, high) of x (3, n) that are in the bounds of field p to those to it."""
-    number, distance, primitive, spread = int(posed[p, 7]), deepest.distance, deepest.primitive, deepest.spread
+    distance, primitive, spread = deepest.distance, deepest.primitive, deepest.spread
     for i in range(np.uint64(low), np.uint64(high)):
         px, py, pz = x[0, i], x[1, i], x[2, i]
         within = posed[p, 8] <= px <= posed[p, 11] and posed[p, 9] <= py <= posed[p, 12]
@@ -295,3 +379,28 @@ def lower_field(
             if d < distance[i]:
                 distance[i] = d
                 primitive[i] = p
+
+
+@kernel
+def lower_form(
+    form: Any, x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest
+) -> None:
+    """Lower the distances of vertices [low, high) of x (3, n) to those to closed form p, if they are less."""
+    distance, primitive, spread = deepest.distance, deepest.primitive, deepest.spread
+    margin, ball, cosine = posed[p, 15], posed[p, 14], posed[p, 6]
+    # Out of the loop, which vectorises then.
+    a, b, c = frames[f, 0], frames[f, 3], frames[f, 6]
+    d, e, g = frames[f, 1], frames[f, 4], frames[f, 7]
+    h, k, m = frames[f, 2], frames[f, 5], frames[f, 8]
+    ox, oy, oz = frames[f, 9], frames[f, 10], frames[f, 11]
+    for i in range(np.uint64(low), np.uint64(high)):
+        px, py, pz = x[0, i] - ox, x[1, i] - oy, x[2, i] - oz
+        off = distance_of(form, a * px + b * py + c * pz, d * px + e * py + g * pz, h * px + k * py + m * pz)
+        off -= margin * spread[1, i] + round_margin(spread[0, i], ball, cosine)
+        least, which = distance[i], primitive[i]
+        distance[i] = min(least, off)
+        primitive[i] = p if off < least else which
+
+
+lower_field = by_number(lower_sampled, lower_form)
+"""lower_field(fields, number, x, low, high, posed, p, frames, f, deepest)"""

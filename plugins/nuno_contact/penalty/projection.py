@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.distance_fields.sample import Fields
 from nuno_contact.penalty.contact import (
     BLOCK,
     BodyContact,
@@ -34,7 +33,7 @@ from nuno_contact.penalty.contact import (
     respond,
     rub,
 )  # fmt: skip
-from nuno_contact.penalty.distance import Bodies, find_bounds
+from nuno_contact.penalty.distance import Bodies, Fields, find_bounds
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.terms import Displaced, over_blocks
 from nuno_schemas.fabric import Float

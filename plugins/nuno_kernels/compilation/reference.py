@@ -24,6 +24,8 @@ from nuno_kernels.compilation.internals import AttributeTemplate
 T = TypeVar("T", bound=type)
 CLASSES: set[type] = set()
 """those that are passed by reference"""
+NAMES: dict[str, int] = {}
+"""how many of them have a name"""
 
 
 class Reference(types.Type):  # type: ignore[misc]
@@ -33,7 +35,7 @@ class Reference(types.Type):  # type: ignore[misc]
         self.held, self.instance_class, self.types = held, held.instance_class, held.types
         # Short: it is a part of the names of all functions compiled for it.
         suffix = hashlib.blake2b(str(held).encode(), digest_size=8).hexdigest()
-        super().__init__(f"{held.instance_class.__qualname__}@{suffix}")
+        super().__init__(f"{held.instance_class.__name__}@{suffix}")
 
     @property
     def key(self) -> Any:
@@ -143,8 +145,15 @@ def _load(context: Any, builder: Any, reference: Reference, value: Any, name: st
 
 
 def by_reference(kind: T) -> T:
-    """Make kernels pass tuples of a class by reference."""
+    """Make kernels pass tuples of a class by reference.
+
+    The names of machine code have the names of its arguments' classes. Of classes of one name, as of two packages or
+    of a notebook's cell that runs twice, the later ones get a number: they would run the first one's code.
+    """
     CLASSES.add(kind)
+    NAMES[kind.__name__] = earlier = NAMES.get(kind.__name__, -1) + 1
+    if earlier:
+        kind.__name__ += f"_{earlier}"
 
     @typeof_impl.register(kind)  # type: ignore[untyped-decorator]
     def _(value: Any, c: Any) -> Reference | None:

@@ -315,7 +315,7 @@ def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
     longer than the run.
     """
     if (field := geometry.distance_field(i)) is not None:
-        return field_distance(p, field)
+        return field_distance(p, field) if isinstance(field, DistanceField) else np.asarray(field.distance(*p.T))
     return _to_mesh(p, columns_of(geometry, i), inside_only)
 
 

@@ -20,7 +20,7 @@ from nuno.plugin_contract import containment
 from nuno.plugin_contract.values import (
     ContractError,
     check_array,
-    check_field,
+    check_fields,
     check_layout,
     check_number,
     check_skins,
@@ -246,8 +246,7 @@ def check_body(shape: BodyShape, mover: Mover | None) -> None:
         raise ContractError(
             f"fields are {len(shape.fields)}, of {int((shape.kind == FIELD).sum())} primitives that have one"
         )
-    for i, field in enumerate(shape.fields):
-        check_field(f"fields[{i}]", field)
+    check_fields(shape)
     check_skins(shape)
     if shape.drawn is not None:
         check_skins(shape.shown)

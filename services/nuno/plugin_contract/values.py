@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from nuno_schemas.bodies import SKIN, DistanceField, Geometry
+from nuno_schemas.bodies import FIELD, SKIN, DistanceField, Geometry
 from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import BodyShape
@@ -47,7 +47,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, int]) -> None:
     """Raise ContractError for one bad field of `owner`; add lengths that occur first in it."""
-    annotated, sizes, bounds = _read(hint)
+    annotated, sizes, bounds = _read(hint, value)
     args: tuple[Any, ...] = get_args(annotated)
     kind: Any = get_origin(annotated) or annotated
     if value is None and NoneType in get_args(hint):
@@ -78,10 +78,11 @@ def _check_one(what: str, value: Any, hint: Any, owner: Any, lengths: dict[str, 
         check_number(what, value, bounds or UNBOUNDED)
 
 
-def _read(hint: Any) -> tuple[Any, list[Any], Bounds | None]:
-    """Return the type of an annotation without None, its lengths, and its bounds."""
+def _read(hint: Any, value: Any) -> tuple[Any, list[Any], Bounds | None]:
+    """Return the type of an annotation without None, of several that of the value, its lengths, and its bounds."""
     if NoneType in get_args(hint):
-        hint = next(kind for kind in get_args(hint) if kind is not NoneType)
+        kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+        hint = next((kind for kind in kinds if isinstance(kind, type) and isinstance(value, kind)), kinds[0])
     kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     return (
         kind,
@@ -142,8 +143,20 @@ def check_number(what: str, value: Any, bounds: Bounds = UNBOUNDED) -> None:
         raise ContractError(f"{what} is {value}{_limit(value, bounds)}")
 
 
+def check_fields(shape: Geometry | BodyShape) -> None:
+    """Check the distance fields of primitives that have one, closed forms at a few places."""
+    primitives = np.flatnonzero(shape.kind == FIELD).tolist()
+    for i, (field, primitive) in enumerate(zip(shape.fields, primitives, strict=False)):
+        if isinstance(field, DistanceField):
+            check_field(f"fields[{i}]", field)
+        elif field is not None:
+            places = np.array([shape.a[primitive], shape.b[primitive], 0.5 * (shape.a + shape.b)[primitive]])
+            evaluate_formula(f"fields[{i}]", field, "distance", *places.T)
+
+
 def check_field(what: str, field: DistanceField) -> None:
     """Check a distance field, and that its cells refer to existing cells and leaves."""
+    check_layout(f"{what}.", field)
     if math.prod(field.shape.tolist()) > len(field.child):
         raise ContractError(f"{what}.child has {len(field.child)} cells, fewer than its shape")
     cut = field.child >= 0
