@@ -24,7 +24,6 @@ from numba.extending import overload
 from nuno_kernels import FLAGS, forced_inline, kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, lane, splat, vector, with_lane
-from nuno_schemas.bodies import FORMS
 from nuno_schemas.fabric import Float
 
 T = TypeVar("T", bound=type)
@@ -51,8 +50,6 @@ def formula(kind: T) -> T:
     kind.kernels = methods  # type: ignore[attr-defined]
     for name, method in methods.items():
         setattr(kind, name, _on_arrays(EVALUATED[name]) if name in EVALUATED else method)
-    if "distance" in methods:
-        FORMS[f"{kind.__module__}:{kind.__qualname__}"] = kind
     return kind
 
 

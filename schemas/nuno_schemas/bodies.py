@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, Protocol, runtime_checkable
@@ -153,9 +153,6 @@ class ClosedForm(Protocol):
         """Return the distance from points in the frame [m]: numbers, or arrays that broadcast."""
         ...
 
-
-FORMS: dict[str, Callable[..., ClosedForm]] = {}
-"""The classes of closed forms in this process by "module:name", by which messages name them."""
 
 CAPSULE, PLANE, BOX, MESH, FIELD, SKIN = 0, 1, 2, 3, 4, 5
 OF_TRIANGLES = (MESH, FIELD, SKIN)

@@ -9,7 +9,7 @@ import contextlib
 import logging
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,37 @@ from nuno_schemas.system import StepLimit, StepReport, Term, Touched
 LOGGER = logging.getLogger("nuno.plugins")
 ARRAYS: dict[type, tuple[str, ...]] = {State: ("x", "v"), DyeState: ("phi", "fixed")}
 """Arrays of a state, which a solver advances in place."""
+ADVANCING = ("advance", "apply", "apply_beside")
+"""Methods that may write into a state."""
 
 
 FLOATS = "\nAll that nuno's kernels are given is float64: a method's own buffers, too, as `stages` are"
+LENT = "\nWhat a plugin is lent it may only read: it makes a copy of what it changes"
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view that cannot be written into."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def each_array(value: Any, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Any:
+    """Return a dataclass in which each array, also of its parts, is changed."""
+    if isinstance(value, np.ndarray):
+        return change(value)
+    if type(value) is tuple:
+        return tuple(each_array(item, change) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {one.name: each_array(getattr(value, one.name), change) for one in fields(value) if one.init}
+        return replace(value, **parts)
+    return value
 
 
 def _hint(error: BaseException) -> str:
-    """Return an explanation for a compiler's error, "" for others."""
+    """Return an explanation for an error of the compiler, or of NumPy, "" for others."""
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        return LENT
     return FLOATS if type(error).__name__ == "TypingError" and "float32" in str(error) else ""
 
 
@@ -86,7 +110,7 @@ class Foreign:
         def call(*args: Any, **kwargs: Any) -> Any:
             states = [(state, {n: getattr(state, n).shape for n in ARRAYS[type(state)]})
                      for state in args if type(state) in ARRAYS]  # fmt: skip
-            result = self._call(name, method, *args, **kwargs)
+            result = self._call(name, method, *(self._lent(name, arg) for arg in args), **kwargs)
             for state, shapes in states:
                 for field, shape in shapes.items():
                     finite = getattr(result, "status", "ok") == "ok"
@@ -94,6 +118,14 @@ class Foreign:
             return self._checked(name, result, args)
 
         return call
+
+    def _lent(self, name: str, value: Any) -> Any:
+        """Return an argument as a method gets it: what it keeps of a fabric, or of a state that it does not advance, it
+        cannot change later.
+        """
+        if isinstance(value, Fabric):
+            return each_array(value, read_only)
+        return each_array(value, np.copy) if type(value) in ARRAYS and name not in ADVANCING else value
 
     def _call(self, name: str, method: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         def fail(error: BaseException) -> BaseException:
@@ -105,11 +137,13 @@ class Foreign:
         return containment.call(fail, method, *args, **kwargs)
 
     def _checked(self, name: str, result: Any, args: Sequence[Any]) -> Any:
-        """Check the result of a method, and guard the functions in it."""
+        """Check the result of a method, and guard the functions in it; cloth and bodies become nuno's own copies."""
         with self._naming(f"{name} gives {type(result).__name__}"):
             check(self._group, name, result, args)
         for doubt in doubts(result):
             LOGGER.warning("%s: %s gives %s: %s", self._label, name, type(result).__name__, doubt)
+        if isinstance(result, Fabric | BodyShape):
+            result = each_array(result, np.copy)
         if isinstance(result, Term) and callable(result.data):
             return replace(result, data=self._force(result.data))
         if isinstance(result, Mover):
@@ -127,27 +161,18 @@ class Foreign:
 
     def _force(self, function: Callable[[Float, Float, float, Float], None]) -> Callable[..., None]:
         def add(x: Float, v: Float, t: float, out: Float) -> None:
-            with self._unchanged(f"at {t:g} s its force", x=x, v=v):
-                returned = self._call("its force", function, x, v, t, out)
-            if returned is not None and returned is not out:
+            # What it keeps of its arguments is nobody's any more, and can change nothing later.
+            alone = np.zeros_like(out)
+            returned = self._call("its force", function, read_only(x), read_only(v), t, alone)
+            if returned is not None and returned is not alone:
                 problem = f"its force returns {type(returned).__name__}, which nothing uses"
                 raise RunFailed(f"{self._label}: {problem}: add the force to `out` (n, 3) [N], in place")
-            # The solver reports a state that is not finite already; earlier values of `out` are not this force's fault.
-            if not np.isfinite(out).all() and np.isfinite(x).all() and np.isfinite(v).all():
-                alone = np.zeros_like(out)
-                self._call("its force", function, x, v, t, alone)
-                self._check(f"at {t:g} s its force", alone, out.shape)
+            # The solver reports a state that is not finite already.
+            finite = bool(np.isfinite(x).all() and np.isfinite(v).all())
+            self._check(f"at {t:g} s its force", alone, out.shape, finite)
+            out += alone
 
         return add
-
-    @contextlib.contextmanager
-    def _unchanged(self, what: str, **read: Float) -> Iterator[None]:
-        """Raise RunFailed for a function that writes into what it may only read."""
-        before = {name: values.copy() for name, values in read.items()}
-        yield
-        for name, values in before.items():
-            if not np.array_equal(read[name].view(np.int64), values.view(np.int64)):  # of bits NaN is equal to itself
-                raise RunFailed(f"{self._label}: {what} writes into {name}, which it may only read")
 
     def _pose(self, pose: Callable[..., Any], number: int, t: float) -> tuple[Float, Float]:
         rotation, translation = self._call("its pose", pose, t)
@@ -290,7 +315,7 @@ def check_term(term: Term, fabric: Fabric) -> None:
     for i, part in enumerate(term.data):
         check_layout(f"data[{i}].", part, {"n": fabric.number})
         if not getattr(getattr(type(part), "kernels", None), "roles", None):
-            kind = f"data[{i}] is of type {type(part).__name__}, which has no kernels"
+            kind = f"data[{i}] is of type {type(part).__qualname__}, which has no kernels"
             raise ContractError(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
 
 

@@ -173,7 +173,7 @@ def evaluate_formula(what: str, formula: Any, method: str, *arguments: Any) -> F
     kind, methods = type(formula), getattr(formula, "kernels", None)
     if not isinstance(methods, Mapping) or method not in methods:
         needed = f"a named tuple with a compiled {method}: nuno_kernels.formula"
-        raise ContractError(f"{what} is {kind.__name__}, not {needed}")
+        raise ContractError(f"{what} is {kind.__qualname__}, not {needed}")
     for name, value in zip(kind._fields, formula, strict=True):
         check_type(f"{what}.{name}", value, float)
         check_number(f"{what}.{name}", value)

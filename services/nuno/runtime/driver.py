@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from nuno.bus.encodings import encode_arrays
 from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query, Refused, pauses
 from nuno.bus.sessions import PATIENCE
+from nuno.plugin_contract import containment
 from nuno.recording.reader import describe_changes
 from nuno.recording.recorded import Arrays, Checkpoint
 from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
@@ -136,7 +137,13 @@ class FrameWatchdog:
                 late = self._end_asked_at is not None and now - self._end_asked_at > LEAVE_AFTER
                 if late and self._began is not None:
                     self.leave[0] = 1
-                if late and (orphaned or self.leave[0]):
+                # Compiled code has had time to leave: a plugin that still goes on does so in Python.
+                overdue = self._end_asked_at is not None and now - self._end_asked_at > 2.0 * LEAVE_AFTER
+                if (
+                    overdue
+                    and not containment.end_calls(self._context.bus.run, LEAVE_AFTER)
+                    and (orphaned or self.leave[0])
+                ):
                     return
                 if self._began is None:
                     continue

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import zenoh
 
 from nuno.bus.health import Watch
+from nuno.plugin_contract import containment
 from nuno.runtime.service import Options, run_service
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.errors import BadInput, RunFailed
@@ -63,6 +64,7 @@ def threads(
         for thread in threads:
             ready = thread.name in watch.alive() or watch.gone(thread.name)
             thread.join(FINISH_TIMEOUT if ready else max(0.0, end - time.monotonic()))
+        containment.end_calls(run, LINGER)
 
 
 @contextlib.contextmanager

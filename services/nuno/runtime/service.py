@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nuno.bus.health import Watch, offer_health
 from nuno.bus.messages import Bus, Inbox, Message, Query
+from nuno.plugin_contract import containment
 from nuno.process import SIGNALS, state_of, working_folder
 from nuno.runtime.consistency import offer_premises
 from nuno.scene.scene_file import Loaded
@@ -195,7 +196,8 @@ def run_service(
     offer_premises(bus, loaded, options.resume is not None, options.real_time)
     context = Context(loaded, bus, options, stop or threading.Event())
     try:
-        importlib.import_module(MODULES[name]).main(context)
+        with containment.serving(run):
+            importlib.import_module(MODULES[name]).main(context)
     except BadInput as error:
         context.event("error", str(error), bad_input=True)
         raise
