@@ -100,6 +100,9 @@ def distances_are_those_to_points_of_its_surface(subject: Subject) -> None:
     points = points[distance(points) > 1e-2 * reach]
     far, small = distance(points), 1e-6 * reach
     slope = np.stack([distance(points + step) - distance(points - step) for step in small * np.eye(3)], 1) / (2 * small)
+    forms = shape.fields if len(shape.kind) == 1 else ()
+    for gradient in filter(None, (getattr(form, "gradient", None) for form in forms)):
+        assert np.abs([gradient(*point) for point in points] - slope).max() < 1e-5
     feet = points - far[:, None] * slope
     on_it = np.abs(distance(feet)) < 1e-5 * reach
     assert on_it.mean() > 0.95  # except for points with two equally near points of the surface

@@ -90,6 +90,11 @@ def torus(x: Float) -> Float:
     return np.hypot(np.hypot(x[:, 0], x[:, 2]) - 0.3, x[:, 1]) - 0.05
 
 
+@pytest.mark.parametrize("module", ["ring", "temkin"])
+def test_a_collider_and_an_isotherm_are_short(module: str) -> None:
+    assert len(shown(module).splitlines()) <= 30
+
+
 @pytest.mark.full
 def test_the_lines_shown_hold_all_of_them_to_the_contract(packages: Packages, tmp_path: Path) -> None:
     for module in POINTS:
@@ -125,6 +130,9 @@ FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]]
     ("drift_kick", {}, "add(u, v, dt / 2", "add(u, v, dt / (2 if p.threads is None else 2.0000001)",
      rides.any_number_of_threads_gives_the_same_bits),
     ("ring", {"radius": 0.3, "tube": 0.05}, "y * y", "2.0 * y * y",
+     bodies.distances_are_those_to_points_of_its_surface),
+    ("ring", {"radius": 0.3, "tube": 0.05}, "- self.tube\n",
+     "- self.tube\n\n    def gradient(self, x, y, z):\n        return 0.0, 1.0, 0.0\n",
      bodies.distances_are_those_to_points_of_its_surface),
     ("ring", {"radius": 0.3, "tube": 0.05}, "(config.radius, ", "(config.radius - 1e-9 * id(object()), ",
      bodies.it_stands_on_the_joints_of_its_motion),

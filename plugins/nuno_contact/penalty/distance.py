@@ -247,41 +247,48 @@ class Bodies(NamedTuple):
     frames: Float
 
 
-@forced_inline
-def read_sampled(fields: SampledFields, number: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return distance [m] and gradient of a sampled field."""
-    return sample(x, y, z, number, fields)
-
-
 STEP = 1e-6
 """Step of the differences for a closed form's gradient [m], whose error is about 1e-10 at a radius of centimetres. At
 an edge those to one side could vanish in all directions."""
 
 
-def read_form(form: Any, x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return distance [m] and gradient of a closed form; kernels call it."""
-    return float(form.distance(x, y, z)), *form.gradient(x, y, z)
+@forced_inline
+def at_unit_length(distance: float, gx: float, gy: float, gz: float) -> Reading:
+    """Return a distance with a gradient's direction, and whether that vanishes."""
+    size = math.sqrt(gx * gx + gy * gy + gz * gz)
+    return (distance, gx / size, gy / size, gz / size, 0) if size > 0.0 else (distance, gx, gy, gz, 1)
+
+
+@forced_inline
+def read_sampled(fields: SampledFields, number: int, x: float, y: float, z: float) -> Reading:
+    """Return distance [m] and normal of a sampled field, as `at_unit_length`."""
+    distance, gx, gy, gz = sample(x, y, z, number, fields)
+    return at_unit_length(distance, gx, gy, gz)
+
+
+@kernel
+def read_differences(form: Any, x: float, y: float, z: float) -> Reading:
+    """Return distance [m] and normal of a closed form by differences, as `at_unit_length`."""
+    gx = distance_of(form, x + STEP, y, z) - distance_of(form, x - STEP, y, z)
+    gy = distance_of(form, x, y + STEP, z) - distance_of(form, x, y - STEP, z)
+    gz = distance_of(form, x, y, z + STEP) - distance_of(form, x, y, z - STEP)
+    return at_unit_length(distance_of(form, x, y, z), gx, gy, gz)
+
+
+def read_form(form: Any, x: float, y: float, z: float) -> Reading:
+    """Return distance [m] and normal of a closed form: its own gradient, if it has one; kernels call it."""
+    return (float(form.distance(x, y, z)), *form.gradient(x, y, z), 0)
 
 
 @overload(read_form, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
 def _read_form(form: Any, x: Any, y: Any, z: Any) -> Any:
-    gradient = form.instance_class.kernels.get("gradient", differences)
+    gradient = form.instance_class.kernels.get("gradient")
 
     def read(form: Any, x: Any, y: Any, z: Any) -> Any:
-        gx, gy, gz = gradient(form, x, y, z)
-        return distance_of(form, x, y, z), gx, gy, gz
+        nx, ny, nz = gradient(form, x, y, z)
+        return distance_of(form, x, y, z), nx, ny, nz, 0
 
-    return read
-
-
-@kernel
-def differences(form: Any, x: float, y: float, z: float) -> Vector:
-    """Return the gradient of a closed form by differences."""
-    return (
-        (distance_of(form, x + STEP, y, z) - distance_of(form, x - STEP, y, z)) / (2.0 * STEP),
-        (distance_of(form, x, y + STEP, z) - distance_of(form, x, y - STEP, z)) / (2.0 * STEP),
-        (distance_of(form, x, y, z + STEP) - distance_of(form, x, y, z - STEP)) / (2.0 * STEP),
-    )
+    return (lambda form, x, y, z: read_differences(form, x, y, z)) if gradient is None else read
 
 
 class Volumes(NamedTuple):
@@ -323,7 +330,7 @@ def by_number(sampled: Any, own: Any) -> Any:
 
 
 read_field = by_number(read_sampled, read_form)
-"""read_field(fields, number, x, y, z) -> distance [m] and gradient"""
+"""read_field(fields, number, x, y, z) -> distance [m] and normal, as `at_unit_length`"""
 
 
 @forced_inline
@@ -332,14 +339,13 @@ def field_reading(
 ) -> Reading:
     """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
-    distance, gx, gy, gz = read_field(fields, int(posed[p, 7]), x, y, z)
+    distance, nx, ny, nz, mark = read_field(fields, int(posed[p, 7]), x, y, z)
     distance -= margin + round_margin(spread, posed[p, 14], posed[p, 6])
-    size = math.sqrt(gx * gx + gy * gy + gz * gz)
-    if not size > 0.0:
-        nx, ny, nz = across(gx, gy, gz)
-        return distance, nx, ny, nz, 1
-    nx, ny, nz = turn_out((gx / size, gy / size, gz / size), frames, f)
-    return distance, nx, ny, nz, 0
+    if mark == 0:
+        nx, ny, nz = turn_out((nx, ny, nz), frames, f)
+        return distance, nx, ny, nz, 0
+    nx, ny, nz = across(nx, ny, nz)
+    return distance, nx, ny, nz, 1
 
 
 @forced_inline
