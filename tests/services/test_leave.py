@@ -110,7 +110,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(watchdog, "LEAST", 0.0)
     said: list[tuple[str, str, int]] = []
     context: Any = SimpleNamespace(
-        bus=SimpleNamespace(service="simulation"), orphaned=lambda: False,
+        bus=SimpleNamespace(service="simulation", run="run"), orphaned=lambda: False,
         event=lambda kind, text, frame, t: said.append((kind, text, frame)),
     )  # fmt: skip
     attendant = FrameWatchdog(context)
@@ -128,7 +128,7 @@ def test_what_holds_a_frame_is_said_while_it_does(monkeypatch: pytest.MonkeyPatc
 
 def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     """What is measured between frames, and at the end, is not cut short by a stop that came before."""
-    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation"), orphaned=lambda: False)
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation", run="run"), orphaned=lambda: False)
     question: Any = SimpleNamespace(name="control", json=lambda: {"action": "stop"})
     attendant = FrameWatchdog(context)
     attendant.prepared()
@@ -141,7 +141,7 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
 
 
 def test_preparation_is_left_where_the_supervisor_goes() -> None:
-    context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye"), orphaned=lambda: True)
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="dye", run="run"), orphaned=lambda: True)
     attendant = FrameWatchdog(context)
     wait_until(lambda: bool(attendant.leave[0]))
     wait_until(lambda: all(thread.name != "dye watchdog" for thread in threading.enumerate()))
