@@ -239,8 +239,7 @@ def sweep(
     """
     with in_python(), loaded(scene, as_texts([*overrides, fields]), roots) as found:
         if jobs != 1 or dask is not None:
-            plugins = [(one.group, one.name) for one in found.chosen]
-            registry.require_installed(plugins, "a sweep's other processes", "jobs=1")
+            registry.require_installed(found.chosen, "a sweep's other processes", "jobs=1")
         with closing(choose_executor(jobs if dask is None else None, dask)) as where:
             place = Place(where, None if out is None else Path(out), resume, progress or (lambda text: None))
             made = run_all(found, over, place, side)

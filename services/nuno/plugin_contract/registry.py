@@ -61,12 +61,12 @@ def register(group: str, plugin: type) -> None:
     REGISTERED[group, name] = point
 
 
-def require_installed(plugins: Iterable[tuple[str, str]], what: str, remedy: str) -> None:
-    """Raise BadInput if one of the plugins, by group and name, is known to this process alone, and `what` is not."""
-    for group, name in plugins:
-        if (point := REGISTERED.get((group, name))) is not None:
+def require_installed(chosen: Iterable[Any], what: str, remedy: str) -> None:
+    """Raise BadInput if one of a scene's chosen plugins is known to this process alone, and so not to `what`."""
+    for one in chosen:
+        if (point := REGISTERED.get((one.group, one.name))) is not None:
             raise BadInput(
-                f"the plugin {name!r} in {group} is registered in this process, and {what} would not know it",
+                f"the plugin {one.name!r} in {one.group} is registered in this process, and {what} would not know it",
                 value=point.value, remedy=f"{remedy}, or install it as a package with an entry point",
             )  # fmt: skip
 

@@ -105,8 +105,7 @@ def _path(record: str | os.PathLike[str] | None) -> Path | None:
 
 def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None) -> Result:
     if processes:
-        plugins = [(one.group, one.name) for one in scene.chosen]
-        registry.require_installed(plugins, "other processes", "leave processes=True out")
+        registry.require_installed(scene.chosen, "other processes", "leave processes=True out")
     deployment = Deployment(processes=processes, run=runs.new_id(scene.scene.name))
     if options.record is not None:
         return _recorded(scene, options, deployment, progress)
