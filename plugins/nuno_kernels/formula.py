@@ -34,7 +34,7 @@ class Methods(dict[str, Any]):
     """Compiled methods by name."""
 
     def all(self) -> list[Any]:
-        """Return the methods, on which a kept kernel depends (nuno_kernels.compilation.cache)."""
+        """Return the methods, on which a kept kernel depends (nuno_kernels.compilation.internals)."""
         return list(self.values())
 
 
@@ -48,6 +48,7 @@ def formula(kind: T) -> T:
         raise TypeError(f"{kind.__qualname__} has no {' and no '.join(EVALUATED)}, and so is no formula")
     by_reference(kind)
     kind.kernels = methods  # type: ignore[attr-defined]
+    kind.registered_by = kind.__module__  # type: ignore[attr-defined]
     for name, method in methods.items():
         setattr(kind, name, _on_arrays(EVALUATED[name]) if name in EVALUATED else method)
     return kind

@@ -236,7 +236,7 @@ def test_compiled_forces_are_the_energies_gradients(model: Any, config: dict[str
     wind = Wind().prepare(WindConfig(velocity=(3.0, 1.0, -2.0)), fabric, 0)
     push = ParticleWindForce().prepare(ParticleWindConfig(strength=1e-3, beta=0.3, gamma=0.8), fabric, 0)
     blown = wind_force(wind.data, x, still)
-    expected = (force + blown + push.data[0].force) / fabric.mass[:, None]
+    expected = (force + blown + push.data[0].push) / fabric.mass[:, None]
     got = accelerations(make_system(fabric, terms=(wind, push)), x, still)
     free = ~fabric.pinned
     assert got[free] == pytest.approx(expected[free], rel=1e-9, abs=1e-9 * np.abs(expected).max())

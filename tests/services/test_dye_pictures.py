@@ -290,7 +290,7 @@ def test_a_plugin_from_elsewhere_draws(tmp_path: Path, monkeypatch: pytest.Monke
     with nuno.open(path) as recording:
         last = recording.last("dye/concentration")
         amounts, _ = recording.arrays(last)
-        assert recording.metadata["plugins"][f"{group}/stripes"] == "unknown package"
+        assert recording.metadata["plugins"][f"{group}/stripes"] == __name__
     total = round(float((amounts["phi"] + amounts["fixed"]).sum()))
     picture = export(path)
     assert picture.shape == (2 * NY, 2 * NX, 3) and (picture == [9, 1, total]).all()

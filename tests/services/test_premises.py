@@ -91,13 +91,13 @@ def test_a_service_that_dies_when_it_is_asked_is_named(tmp_path: Path, monkeypat
 def test_services_that_are_still_to_be_started_are_named(
     after: float, every: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whenever there are fewer of them, and every few seconds. The simulation waits until it hears where bodies are."""
+    """Whenever there are fewer of them, and every few seconds."""
     monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_AFTER", after)
     monkeypatch.setattr("nuno.runtime.supervisor.PREPARING_EVERY", every)
     loaded = scene_file.read(write_scene(tmp_path, bodies=BALL, duration="0.1 s"))
     outcome, said, _ = supervise(loaded, {}, tmp_path / "run.mcap", "collision")
     assert outcome is not None and outcome.state == "done"
-    assert [text for text in said if text.endswith(": collision, simulation")]
+    assert [text for text in said if text.endswith(": collision")]
 
 
 def test_the_same_scene_is_the_same_however_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

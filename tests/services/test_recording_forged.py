@@ -153,8 +153,8 @@ def test_clocks_and_plans_of_cloth_contact_are_in_their_ranges(name: str, value:
     kept |= {"clock": np.zeros(7), "so_far": np.zeros(5, np.int64), "push": np.zeros((2, 3, 3))}
     own = {name: kept[name] for name in ("anchor", "anchored", "last", "push", "clock", "so_far")}
     term = ContactState(*[None] * len(ContactState._fields))._replace(plan=SimpleNamespace(**kept), **own)
-    packed, work = SimpleNamespace(forces=(term,), bodies=()), SimpleNamespace(state_arrays=dict, bounds=dict)
-    arrays, bounds = _state_arrays(cast(Any, packed), cast(Any, work))
+    packed = SimpleNamespace(forces=(term,), bodies=())
+    arrays, bounds = _state_arrays(cast(Any, SimpleNamespace(packed=packed, state_arrays=dict, bounds=dict)))
     memory = Memory(arrays, None, bounds)
     check_kept(memory, arrays)
     wrong = arrays[name].copy()

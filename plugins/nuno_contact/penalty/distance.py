@@ -19,6 +19,7 @@ from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.formula import INLINE, distance_of
 from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat
+from nuno_kernels.terms import define
 from nuno_schemas.fabric import Float, Int
 
 # Signed distances from points to posed primitives, one point or a block of vertices at a time.
@@ -323,8 +324,7 @@ def by_number(sampled: Any, own: Any) -> Any:
             calls.append("sampled(fields.sampled, number, *rest)")
         lines = [f"    if number == {-1 - k}:\n        return {call}" for k, call in enumerate(calls[:-1])]
         scope: dict[str, Any] = {f"kinds{k}": kind for k, kind in enumerate(kinds)} | {"own": own, "sampled": sampled}
-        exec("\n".join(["def chosen(fields, number, *rest):", *lines, f"    return {calls[-1]}"]), scope)
-        return scope["chosen"]
+        return define("chosen", "fields, number, *rest", "\n".join([*lines, f"    return {calls[-1]}"]), **scope)
 
     return called
 

@@ -70,6 +70,7 @@ def vertex_force(name: str) -> Callable[[T], T]:
         if hasattr(kind, "energy"):
             roles |= {"energy": sum_energy, "energy_at_vertex": kernel(kind.energy)}
         register(kind, name, reads_velocity=lambda term: "v" in taken, **roles)
+        kind.registered_by = kind.__module__  # type: ignore[attr-defined]
         return kind
 
     return registered

@@ -114,7 +114,7 @@ class Foreign:
             for state, shapes in states:
                 for field, shape in shapes.items():
                     finite = getattr(result, "status", "ok") == "ok"
-                    self._check(f"{name} leaves a state whose {field}", getattr(state, field), shape, finite)
+                    self._check(f"{name} leaves a state whose {field}", getattr(state, field), shape, finite, True)
             return self._checked(name, result, args)
 
         return call
