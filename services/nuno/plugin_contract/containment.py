@@ -42,6 +42,8 @@ CALLS: dict[int, tuple[float, Fail]] = {}
 """Start of the call that each thread is in [s], the outermost one of several, and what makes its error."""
 RUNS: dict[int, str] = {}
 """The run of each thread that is a service's."""
+RAISED: set[int] = set()
+"""Threads in whose call an error was raised from outside."""
 _LOCK = threading.Lock()
 
 
@@ -64,6 +66,7 @@ def end_calls(run: str, patience: float) -> bool:
         for thread, (began, fail) in calls.items():
             if time.monotonic() - began > patience and not _compiles(thread):
                 LOGGER.warning("%s", fail(Overdue()))
+                RAISED.add(thread)
                 _raise(thread, Overdue)
         return bool(calls)
 
@@ -96,7 +99,11 @@ def _listed(fail: Fail) -> Iterator[None]:
         if outermost:
             with _LOCK:
                 del CALLS[thread]
-                _raise(thread, None)
+                # Only then: taking an error back that is not there leaves Python looking for one at each line, which
+                # slows all threads, and never ends where calls are traced.
+                if thread in RAISED:
+                    RAISED.remove(thread)
+                    _raise(thread, None)
 
 
 def call(fail: Fail, function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
