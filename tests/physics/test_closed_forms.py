@@ -109,6 +109,7 @@ def pushed(geometry: Geometry, place: Float) -> Float:
 APART = np.array([[0.0, 0.0, 0.0], [0.5, 0.1, 0.0], [-0.2, 0.6, 0.1]])
 
 
+@pytest.mark.quick(name=["block"])
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_closed_form_pushes_and_rubs_as_the_shape_that_it_is(name: str) -> None:
     own, known = (pushed(joined(shape), APART[:1]) for shape in SHAPES[name])
@@ -116,6 +117,7 @@ def test_a_closed_form_pushes_and_rubs_as_the_shape_that_it_is(name: str) -> Non
     assert np.abs(own - known).max() < 1e-8 * np.abs(known).max()
 
 
+@pytest.mark.full
 def test_closed_forms_and_sampled_fields_are_met_in_one_scene() -> None:
     """Each as by itself: apart from each other no vertex is near two of them."""
     solid, config = SHAPES["ball"][0], SdfCollider.Config.model_validate({"shape": "box", "size": [0.2, 0.1, 0.2]})

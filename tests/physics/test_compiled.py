@@ -237,7 +237,7 @@ import numpy as np, psutil, sys, time
 from nuno_kernels import kernel
 from nuno_kernels.compilation import workers
 from nuno_kernels.compilation.internals import compiled_here
-workers.PATIENCE, workers.cores = -1.0, lambda: 2
+workers.PATIENCE, workers.cores, workers.idle_cores = -1.0, lambda: 2, lambda: 2
 {change}
 from near import near
 {own}

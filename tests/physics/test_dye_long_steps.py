@@ -173,7 +173,7 @@ class ByCases(NamedTuple):
         return room / (1.0 + 1.0 / (self.K * phi)) if phi > 0.0 else 0.0
 
 
-@pytest.mark.quick(name=["explicit", "rkl2"], law=[ByArithmetic])
+@pytest.mark.quick(name=["rkl2"], law=[ByArithmetic])
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("law", [ByArithmetic, ByCases])
 def test_a_formula_fixes_what_the_isotherm_of_its_law_does(name: str, law: type) -> None:

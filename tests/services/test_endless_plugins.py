@@ -78,7 +78,7 @@ SECONDS = 100.0
 """Longest that a process is waited for on a busy machine: the services' own patience is 30 s for each."""
 
 
-@pytest.mark.quick(kind=["force", "collider"])
+@pytest.mark.quick(kind=["force"])
 @pytest.mark.parametrize("kind", ENDLESS)
 def test_a_loop_without_end_is_stopped_and_named(packages: Packages, tmp_path: Path, kind: str) -> None:
     group, code, fields, words = ENDLESS[kind]

@@ -34,9 +34,10 @@ def test_a_frame_passes_what_is_drawn_each_within_what_it_is_drawn_in(tmp_path: 
                 within[name].add(caller.f_code.co_qualname)
                 caller = caller.f_back
 
+    scene = write_scene(tmp_path, duration=0.1, bodies=BALL)
+    nuno.run(scene, threads=1)  # compiles, which takes far longer while calls are noted
     threading.setprofile(note)
     try:
-        scene = write_scene(tmp_path, duration=0.1, bodies=BALL)
         assert nuno.run(scene, record=tmp_path / "run.mcap", threads=1).state == "done"
     finally:
         threading.setprofile(None)

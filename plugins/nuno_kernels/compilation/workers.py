@@ -47,6 +47,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def idle_cores() -> int:
+    """Return how many cores other programs leave, by the load of the last minute: on busy ones processes would only
+    import what they need.
+    """
+    return cores() - int(os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
+
+
 class Workers:
     """The processes of this one, each served by a thread; they end when they are idle, or with this process."""
 
@@ -58,7 +65,7 @@ class Workers:
         """Have a task compiled, and wait for that; return at once while no process is ready."""
         with self.lock:
             if self.started == 0 and compiled_here()[1] - self.compiled > PATIENCE and cores() > 1:
-                self.started = cores()
+                self.started = max(0, idle_cores())
                 for _ in range(self.started):
                     threading.Thread(target=self._serve, daemon=True).start()
             if self.ready == 0:
