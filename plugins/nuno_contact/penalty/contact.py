@@ -200,7 +200,7 @@ def find_deepest(x: Float, low: int, high: int, block: int, body: int, contact: 
         elif kind[p] != FIELD:
             lower_plane(x, low, high, posed, p, deepest)
         elif fields is not None:
-            lower_field(fields, int(posed[p, 7]), x, low, high, posed, p, frames, contact.frame[p], deepest)
+            lower_field(fields, int(posed[p, 7]), x, (low, high), posed, p, frames, contact.frame[p], deepest)
     if was_near and not near[body, block]:
         for i in range(np.uint64(low), np.uint64(high)):
             deepest.primitive[i] = -1
@@ -496,8 +496,7 @@ def make_contact(
     fields = [field for field in g.fields if field is not None]
     closed = np.array([not isinstance(field, DistanceField) for field in fields], bool)
     numbers = np.where(closed, -np.cumsum(closed), np.cumsum(~closed) - 1)
-    which = (np.cumsum(g.kind == FIELD) - 1)[order][of_field]
-    radius[of_field] = numbers[which]
+    radius[of_field] = numbers[which := (np.cumsum(g.kind == FIELD) - 1)[order][of_field]]
     all_have, spread = spread is None, np.zeros(n) if spread is None else spread
     ball, cosine = np.where(kind == CAPSULE, radius, b.min(axis=1)), np.where(kind == BOX, CORNER, 1.0)
     for p in np.flatnonzero(of_field).tolist():

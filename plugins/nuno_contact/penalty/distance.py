@@ -300,6 +300,8 @@ class Volumes(NamedTuple):
 
 
 Fields = SampledFields | Volumes
+Block = tuple[int, int]
+"""first vertex of a block, and the first one after it"""
 
 
 def by_number(sampled: Any, own: Any) -> Any:
@@ -370,10 +372,11 @@ def primitive_distance(
 
 @kernel
 def lower_sampled(
-    fields: SampledFields, number: int, x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int,
+    fields: SampledFields, number: int, x: Float, block: Block, posed: Float, p: int, frames: Float, f: int,
     deepest: Deepest,
 ) -> None:  # fmt: skip
-    """Lower the distances of vertices [low, high) of x (3, n) that are in the bounds of field p to those to it."""
+    """Lower the distances of a block's vertices of x (3, n) that are in the bounds of field p to those to it."""
+    low, high = block
     distance, primitive, spread = deepest.distance, deepest.primitive, deepest.spread
     for i in range(np.uint64(low), np.uint64(high)):
         px, py, pz = x[0, i], x[1, i], x[2, i]
@@ -389,9 +392,10 @@ def lower_sampled(
 
 @kernel
 def lower_form(
-    form: Any, x: Float, low: int, high: int, posed: Float, p: int, frames: Float, f: int, deepest: Deepest
+    form: Any, x: Float, block: Block, posed: Float, p: int, frames: Float, f: int, deepest: Deepest
 ) -> None:
-    """Lower the distances of vertices [low, high) of x (3, n) to those to closed form p, if they are less."""
+    """Lower the distances of a block's vertices of x (3, n) to those to closed form p, if they are less."""
+    low, high = block
     distance, primitive, spread = deepest.distance, deepest.primitive, deepest.spread
     margin, ball, cosine = posed[p, 15], posed[p, 14], posed[p, 6]
     # Out of the loop, which vectorises then.
@@ -409,4 +413,4 @@ def lower_form(
 
 
 lower_field = by_number(lower_sampled, lower_form)
-"""lower_field(fields, number, x, low, high, posed, p, frames, f, deepest)"""
+"""lower_field(fields, number, x, block, posed, p, frames, f, deepest)"""

@@ -445,7 +445,7 @@ JITCodeLibrary._optimize_functions = _optimize_functions
 
 
 COMPILER = logging.getLogger("nuno.kernels.compiler")
-"""is told when a compilation begins"""
+"""logs that a compilation begins"""
 COMPILER.propagate = False
 
 

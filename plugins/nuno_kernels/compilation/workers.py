@@ -204,5 +204,5 @@ def _task(dispatcher: Any, file: str, kinds: Any) -> Task | None:
     modules = {kind.registered_by for kind in term_classes(kinds)}
     try:
         return file, bytes(ForkingPickler.dumps((modules, function.__module__, function.__qualname__, version, kinds)))
-    except Exception:  # whatever a type raises that cannot be told to another
+    except Exception:  # whatever a type raises that cannot be pickled
         return None

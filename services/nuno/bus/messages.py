@@ -29,6 +29,7 @@ FURTHEST = 100_000
 SENT: dict[bytes, Header] = {}
 """Headers of the last messages sent from this process, by their JSON: its other threads read none."""
 KEPT_HEADERS = 256
+_SENDING = threading.Lock()
 
 
 @dataclass
@@ -64,9 +65,10 @@ class Publisher:
             start = time.perf_counter()
             header = Header(run=self.bus.run, service=self.bus.service, seq=self.sent, frame=frame, t=t, digest=digest)
             attachment = header.model_dump_json().encode()
-            SENT[attachment] = header
-            if len(SENT) > KEPT_HEADERS:
-                SENT.pop(next(iter(SENT)), None)
+            with _SENDING:  # threads that send at once would change the mapping while its first one is looked for
+                SENT[attachment] = header
+                if len(SENT) > KEPT_HEADERS:
+                    del SENT[next(iter(SENT))]
             self.handle.put(payload, attachment=attachment)
             self.sent += 1
             self.payload_bytes += len(payload)

@@ -18,7 +18,9 @@ from nuno_schemas.messages import CLOTH, DYE_STATUS, STATUS, Topic
 
 
 class DyeAccount:
-    """What is told of a dyeing: its cloth, its amounts, their balance (nuno.runtime.driver.Account)."""
+    """The account of a dyeing, for messages and the report: its cloth, its amounts, their balance
+    (nuno.runtime.driver.Account).
+    """
 
     def __init__(self, dyeing: DyeRun) -> None:
         self.dyeing = dyeing

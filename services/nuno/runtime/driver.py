@@ -175,7 +175,7 @@ client's own query, and than that of the run's end."""
 
 
 class Account(Protocol):
-    """What is told of cloth or dye while it is stepped: in messages of its own, in statuses, in the report."""
+    """The account of cloth or dye while it is stepped: its own messages, fields of statuses, entries of the report."""
 
     warnings: list[str]
     """About the start and the run so far; those that are added become events."""
@@ -555,9 +555,8 @@ class Driver:
         frame = self.stepper.frame
         if frame % self.scene.checkpoint_frames == 0 and report.status == "ok" and frame < self.scene.frames:
             self.keep()
-        self.wait_for(
-            (frame - WINDOW) // self.account.every * self.account.every
-        )  # frames between are not all acknowledged
+        every = self.account.every
+        self.wait_for((frame - WINDOW) // every * every)  # frames between are not all acknowledged
         return str(report.status)
 
     def wait_for(self, frame: int) -> None:

@@ -83,7 +83,7 @@ NOW = "sim/ask/now"
 
 
 class ClothAccount:
-    """What is told of simulated cloth: its mesh, its energy and stretch, the loads on bodies
+    """The account of simulated cloth, for messages and the report: its mesh, energy and stretch, the loads on bodies
     (nuno.runtime.driver.Account).
     """
 
