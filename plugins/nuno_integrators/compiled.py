@@ -38,8 +38,8 @@ from nuno_integrators.packing import (
 from nuno_kernels import threads_available
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.python import raise_error
-from nuno_kernels.step.acceleration import Packed, call_each, evaluate
-from nuno_kernels.terms import kernels_of
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.terms import call_each, kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Fabric, Float, Int, Memory, State
 from nuno_schemas.layout import Bounds
@@ -97,6 +97,8 @@ class Work:
     x: Float = field(init=False)
     v: Float = field(init=False)
     stages: Float
+    arrays: dict[str, NDArray[Any]] = field(init=False)
+    """the terms' and the method's arrays that are part of the state"""
     tuning: ThreadTuning | None = field(default=None, init=False)
     """None where one thread runs"""
 
@@ -140,8 +142,8 @@ class Compiled(ABC):
         packed = pack(system)
         packed = silence(self.adapt(hold_over(packed) if self.holds else packed), *without)
         work = self.make_work(config, system, packed)
-        arrays, bounds = _state_arrays(work)
-        return Memory(arrays, work, bounds, self.about(system), making_lists(packed), not reads_time(system))
+        work.arrays, bounds = _state_arrays(work)
+        return Memory(dict(work.arrays), work, bounds, self.about(system), making_lists(packed), not reads_time(system))
 
     @abstractmethod
     def make_work(self, config: Any, system: System, packed: Packed) -> Work:
@@ -175,7 +177,8 @@ class Compiled(ABC):
         self, system: System, state: State, memory: Memory, poses: tuple[Poses, Poses] | None, steps: int, dt: float
     ) -> StepReport:
         """Advance `state` in place by `steps` steps of `dt` [s]; see nuno_schemas.plugin.Integrator."""
-        began, before = time.perf_counter(), state.copy()
+        began = time.perf_counter()
+        before = state.begun if state.begun and steps else (state.x.copy(order="F"), state.v.copy(order="F"))
         with _entered(system, state, memory, state.t + steps * dt) as work:
             work.packed = self.damped(work.packed, float(system.damping))
             packed = _set_poses(work.packed, poses)
@@ -186,26 +189,28 @@ class Compiled(ABC):
             result = self.go(work, packed, steps, dt) if steps else StepResult(0)
             seconds = time.perf_counter() - started
         if steps and system.leave[0]:
-            state.x[...], state.v[...] = before.x, before.v
+            state.x[...], state.v[...] = before
             return StepReport("left", 0)
         if work.tuning is not None:
             work.tuning.took(seconds, result.totals.get("evaluations", result.steps))
-        nonfinite = self._describe_nonfinite(system, before, work, poses, steps, dt, seconds)
+        failure = ""
+        if find_nonfinite(work.x, work.v).any():
+            failure = self._describe_nonfinite(system, State(*before, state.t), work, poses, steps, dt, seconds)
         state.t += steps * dt
-        return _report(system, work, packed, result, nonfinite, time.perf_counter() - began)
+        return _report(system, work, packed, result, failure, time.perf_counter() - began)
 
     def _describe_nonfinite(
         self, system: System, before: State, work: Work, poses: tuple[Poses, Poses] | None, steps: int, dt: float,
         seconds: float,
     ) -> str:  # fmt: skip
-        """Describe the vertices without a finite position or velocity; "" if all are finite.
+        """Describe the vertices without a finite position or velocity.
 
         To find the first of them the interval's steps are repeated, with bodies where they were at its start; but not
         if they took long already, and not a single step, which would tell no more than its end.
         """
         nonfinite = find_nonfinite(work.x, work.v)
         first, step = nonfinite, 0
-        if nonfinite.any() and steps > 1 and seconds < AGAIN:
+        if steps > 1 and seconds < AGAIN:
             packed = _set_poses(work.packed, poses and (poses[0], poses[0]))
 
             def go(taken: int, more: int) -> None:
@@ -289,7 +294,7 @@ def _entered(system: System, state: State, memory: Memory, end: float) -> Iterat
     [s]; yield the method's buffers. Raises the errors of forces in Python.
     """
     work: Work = memory.work  # type: ignore[assignment]
-    for name, own in _state_arrays(work)[0].items():
+    for name, own in work.arrays.items():
         array = memory.arrays[name]
         if array is not own:
             own[...] = array

@@ -11,8 +11,8 @@ import numpy as np
 
 from nuno_integrators.packing import copy_terms, making_lists, parts, silence
 from nuno_kernels.forces.yarn_tension import lengths, link_tensions, own_tensions
-from nuno_kernels.step.acceleration import Packed, call_each, evaluate
-from nuno_kernels.terms import kernels_of
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.terms import call_each, kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Membrane, State
 from nuno_schemas.system import Forces, System, Touched
@@ -138,14 +138,11 @@ def find_nonfinite(x: Float, v: Float) -> Bool:
 
 
 def describe_nonfinite(fabric: Fabric, before: State, nonfinite: Bool, first: Bool, step: str) -> str:
-    """Describe the non-finite vertices (n,), "" if there are none; `first` became so first, in a step, in words, or ""
-    if that is not known.
+    """Describe the non-finite vertices (n,); `first` became so first, in a step, in words, or "" if that is not known.
 
     The one named is the free one that was fastest in the state before: non-finite vertices take their neighbours along,
     pinned ones too, on which an infinite force times no mobility is NaN.
     """
-    if not nonfinite.any():
-        return ""
     first = first if step else nonfinite
     summary = f"{int(nonfinite.sum())} of {fabric.number} vertices have no finite position or velocity; "
     speed = np.where(first, np.where(fabric.pinned, 0.0, np.abs(before.v).max(axis=1)), -1.0)

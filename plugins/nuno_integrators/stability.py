@@ -20,8 +20,8 @@ from nuno_integrators.packing import pack, reads_velocity, silence_bodies, to_ro
 from nuno_kernels import kernel
 from nuno_kernels.forces.energy import measure_energy
 from nuno_kernels.forces.python import raise_error
-from nuno_kernels.step.acceleration import Packed, call_each, evaluate
-from nuno_kernels.terms import kernels_of
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.terms import call_each, kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float, Springs, State
 from nuno_schemas.system import System
 

@@ -30,9 +30,9 @@ from nuno_integrators.packing import silence, silence_bodies
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.forces.constraints import Constraints, clear, forget, pack_constraints, sweep
-from nuno_kernels.step.acceleration import Packed, call_each, commit, evaluate
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import Displaced, each, kernels_of, over_blocks
+from nuno_kernels.terms import Displaced, call_each, each, kernels_of, over_blocks
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config

@@ -181,6 +181,14 @@ def kernels_of(term: Any) -> Kernels:
     return kernels
 
 
+def call_each(packed: Any, role: str, *args: Any) -> list[Any]:
+    """Return the results of a role of all acting terms of a packed system that have it, in order."""
+    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
+    acting = {id(term): term for term, on in terms if on}
+    calls = [(kernels_of(term).find(role), term) for term in acting.values()]
+    return [call(term, *args) for call, term in calls if call is not None]
+
+
 COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a kernel")'
 """Body of functions that numba replaces in compiled code. Interpreted, as with a force written in Python, it raises."""
 

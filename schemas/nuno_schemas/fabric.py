@@ -514,6 +514,8 @@ class State:
     x: Annotated[Float, "n", 3, Bounds(strided=True)]
     v: Annotated[Float, "n", 3, Bounds(strided=True)]
     t: float = 0.0
+    begun: tuple[Float, Float] | None = None
+    """x and v at the start of the frame that is stepped, where the caller has copies: a solver only reads them."""
 
     def __post_init__(self) -> None:
         self.x, self.v = np.asfortranarray(self.x), np.asfortranarray(self.v)

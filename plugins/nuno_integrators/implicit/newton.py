@@ -29,8 +29,8 @@ from nuno_integrators.implicit.linear_solve import (
 )
 from nuno_integrators.packing import parts, silence
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.step.acceleration import Packed, call_each, evaluate
-from nuno_kernels.terms import kernels_of
+from nuno_kernels.step.acceleration import Packed, evaluate
+from nuno_kernels.terms import call_each, kernels_of
 from nuno_schemas.fabric import Bool, Float
 
 # The stiffness of forces that act on each vertex alone: measured by differences, made symmetric and positive.

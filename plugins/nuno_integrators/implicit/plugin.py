@@ -25,7 +25,8 @@ from nuno_integrators.compiled import Compiled, StepResult, Work, cloth_size, la
 from nuno_integrators.implicit.linear_solve import Counts, prefer_factors
 from nuno_integrators.implicit.newton import Limits, Stage, compile_stage, limit_approach, make_stage, solve_stage
 from nuno_integrators.stability import measure_rates
-from nuno_kernels.step.acceleration import Packed, call_each, commit, evaluate
+from nuno_kernels.step.acceleration import Packed, commit, evaluate
+from nuno_kernels.terms import call_each
 from nuno_schemas.fabric import Float, State
 from nuno_schemas.layout import Bounds
 from nuno_schemas.plugin import Config

@@ -31,9 +31,9 @@ from nuno_kernels.lanes import (
     where_not_zero,
     write,
 )
-from nuno_kernels.step.acceleration import Packed, call_each
+from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.terms import Displaced, each, over_blocks, register
+from nuno_kernels.terms import Displaced, call_each, each, over_blocks, register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 

@@ -13,7 +13,7 @@ from nuno_kernels import block_kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
-from nuno_kernels.terms import each, kernels_of, over_blocks
+from nuno_kernels.terms import each, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force, t")
@@ -169,11 +169,3 @@ def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, thre
     place(bodies, on, x, v, s)
     hold(bodies, on, x, v, s, threads)
     settle_bodies(bodies, on, x, v, s, threads)
-
-
-def call_each(packed: Packed, role: str, *args: Any) -> list[Any]:
-    """Return the results of a role (nuno_kernels.terms.Kernels) of all acting terms that have it, in order."""
-    terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
-    acting = {id(term): term for term, on in terms if on}
-    calls = [(kernels_of(term).find(role), term) for term in acting.values()]
-    return [call(term, *args) for call, term in calls if call is not None]

@@ -160,6 +160,7 @@ class DyeRun(Stepper):
     def advance(self) -> Stepped:
         """Spread dye for one frame, in pieces between which supplies begin, end or exchange."""
         begin = time.perf_counter()
+        self.begin_frame()
         self.state.t = self.time
         step, end = self.frame * self.steps, (self.frame + 1) * self.steps
         totals: Counter[str] = Counter()
@@ -207,9 +208,9 @@ class DyeRun(Stepper):
         """Return how the solver's kernels run, in words."""
         return str(self._solver.plugin.about(self.system))
 
-    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
         """Return arrays and text of a checkpoint, with the account of supplies, and B where it has changed."""
-        arrays, text = super().whole(digest)
+        arrays, text = super().whole()
         resist = {"resist": self.cells.resist} if self.resisted else {}
         return arrays | resist, self._text() | text | {"supply": self.supplies.save(self.frame * self.steps)}
 

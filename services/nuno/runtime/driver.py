@@ -22,7 +22,7 @@ from nuno.bus.messages import WAITING_AFTER, Inbox, Message, Query, Refused, pau
 from nuno.bus.sessions import PATIENCE
 from nuno.plugin_contract import containment
 from nuno.recording.reader import describe_changes
-from nuno.recording.recorded import Arrays, Checkpoint
+from nuno.recording.recorded import Arrays
 from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
 from nuno.runtime.stepper import Stepped, Stepper
 from nuno_schemas.errors import BadInput, RunFailed
@@ -241,8 +241,6 @@ class Driver:
         self.watchdog = watchdog
         self.watchdog.holds = stepper.holds
         self.watchdog.prepared()
-        self.before: Checkpoint | None = None
-        """State before an abandoned frame, if it was kept."""
         self.abandoned = False
         """Whether a frame was abandoned: the run cannot continue from the present state."""
         self.scene, self.follows = scene, follows
@@ -314,16 +312,20 @@ class Driver:
     def _put(self, topic: Topic, payload: bytes | bytearray, digest: str = "") -> None:
         self.context.bus.publisher(topic).put(payload, self.stepper.frame, self.stepper.t, digest)
 
-    def keep(self, point: Checkpoint | None = None) -> None:
-        """Publish a checkpoint, by default of the present frame: the whole float64 state, which continues to the same
-        bits.
+    def keep(self) -> None:
+        """Publish a checkpoint: the whole float64 state, which continues to the same bits. An abandoned frame has that
+        of its start, or none.
 
         The arrays of its frame are published, too: a resumed run then shows the same as an unbroken one.
         """
-        arrays, text = (point.arrays, point.text) if point else self.stepper.whole(self.digest)
+        begun = self.stepper.begun
+        if self.abandoned and begun is None:
+            return
+        arrays, text = (begun.arrays, begun.text) if self.abandoned and begun else self.stepper.whole()
+        text |= {"digest": self.digest}
         if self.shown != text["frame"]:
-            self.publish_arrays(text["digest"])
-        self._put(self.stepper.kept, encode_arrays(arrays, text), text["digest"])
+            self.publish_arrays(self.digest)
+        self._put(self.stepper.kept, encode_arrays(arrays, text), self.digest)
         self.kept = text["frame"]
 
     def step_frame(self) -> Stepped:
@@ -332,11 +334,10 @@ class Driver:
         if stepper.alter_due():
             self.digest = stepper.digest()
             self.publish_constant(stepper.frame + 1)
-        before = stepper.copied(self.digest)
         with self.watchdog.frame(stepper.frame, stepper.t):
             frame = stepper.step()
         if frame.report.status == LEFT:
-            self.abandoned, self.before = True, before
+            self.abandoned = True
             return frame
         self.seconds["steps"] += frame.seconds
         self.publish(frame, frame.number % self.account.every == 0 or frame.report.status != "ok")
@@ -490,8 +491,7 @@ class Driver:
                 return status
             if self.until is not None and self.stepper.frame >= self.until:
                 self.state, self.until = "paused", None
-        if self.before is not None or not self.abandoned:
-            self.keep(self.before)  # also of an interrupted run, which can be resumed from there
+        self.keep()  # also of an interrupted run, which can be resumed from there
         if self.finish is not None:
             return "failed"
         self.wait_for(self.stepper.frame)
@@ -537,8 +537,8 @@ class Driver:
                 self.listen(0.5)
         if self.finish.json().get("error"):
             return "failed"
-        if self.kept != self.stepper.frame and (self.before is not None or not self.abandoned):
-            self.keep(self.before)
+        if self.kept != self.stepper.frame:
+            self.keep()
         return "done"
 
     def one_frame(self) -> str:

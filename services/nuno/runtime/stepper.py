@@ -89,6 +89,8 @@ class Stepper(ABC):
     """Recorded status of the frame that the run resumes from; empty for one from the start."""
     taken: float = math.inf
     """Wall time of the last frame [s]."""
+    begun: Checkpoint | None = None
+    """Copy of the state before the last frame, should that be abandoned or unstable; None where none was made."""
 
     @property
     def t(self) -> float:
@@ -164,27 +166,27 @@ class Stepper(ABC):
         """Return the arrays of the digest, besides the frame's number."""
         return self.arrays().values()
 
-    def keep(self, digest: str = "") -> Checkpoint:
-        """Return a copy of the whole present state, which continues to the same bits; its digest, where it is known."""
-        arrays, text = self.whole(digest)
-        return Checkpoint({name: values.copy() for name, values in arrays.items()}, deepcopy(text))
+    def keep(self) -> Checkpoint:
+        """Return a copy of the whole present state, which continues to the same bits."""
+        point = self._copy()
+        point.text["digest"] = self.digest()
+        return point
 
-    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
-        """Return arrays and text of a checkpoint; the arrays are the state's own, which the next frame changes. The
-        state's digest is computed unless it is given.
+    def _copy(self) -> Checkpoint:
+        arrays, text = self.whole()
+        return Checkpoint({name: values.copy(order="K") for name, values in arrays.items()}, deepcopy(text))
+
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
+        """Return arrays and text of a checkpoint, but for its digest; the arrays are the state's own, which the next
+        frame changes.
         """
         arrays = self.arrays() | {MEMORY + name: values for name, values in self.memory.arrays.items()}
-        digest = digest or self.digest()
-        text = {"t": self.t, "frame": self.frame, "digest": digest, "dt": self.dt, "steps": self.steps}
-        return arrays, text
+        return arrays, {"t": self.t, "frame": self.frame, "dt": self.dt, "steps": self.steps}
 
-    def copied(self, digest: str) -> Checkpoint | None:
-        """Return a copy of the present state, of this digest, in case the next frame is abandoned; None where copying
-        would take as long as a frame.
-        """
-        size = CALLS + sum(array.nbytes for array in self.memory.arrays.values())
-        size += sum(array.nbytes for array in self.arrays().values())
-        return self.keep(digest) if size < COPIED * self.taken else None
+    def begin_frame(self, needed: bool = False) -> None:
+        """Keep the present state as `begun`, unless copying takes as long as a frame and is not `needed`."""
+        size = CALLS + sum(array.nbytes for array in (*self.memory.arrays.values(), *self.arrays().values()))
+        self.begun = self._copy() if needed or size < COPIED * self.taken else None
 
     def holds(self) -> str:
         """Return what delays the present frame, in words; called while it is stepped."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nuno.recording.recorded import Arrays
+from nuno.recording.recorded import Checkpoint
 from nuno.runtime.stepper import copy_into
 from nuno.scene.chosen_plugins import Chosen
 from nuno_schemas.bodies import Poses
-from nuno_schemas.fabric import Memory, State
+from nuno_schemas.fabric import State
 from nuno_schemas.system import StepReport, System
 
 MOST_STARTS, MOST_BYTES = 8, 1 << 26
@@ -28,10 +28,9 @@ SHARE = 0.1
 
 @dataclass(frozen=True)
 class FrameStart:
-    """Initial values of a frame: state, arrays of the solver's memory, poses of the bodies."""
+    """The start of a frame, with the poses of the bodies at its start and end."""
 
-    state: State
-    arrays: Arrays
+    point: Checkpoint
     poses: tuple[Poses, Poses] | None
 
 
@@ -46,9 +45,11 @@ class Stage:
 
     def replay(self, start: FrameStart, without: tuple[str, ...] = ()) -> tuple[State, StepReport]:
         """Return state and report after a frame from `start`, without the terms named in `without`."""
-        plugin, state = self.solver.plugin, start.state.copy()
+        plugin, arrays = self.solver.plugin, start.point.arrays
+        state = State(arrays["x"], arrays["v"], start.point.t).copy()
         memory = plugin.prepare(self.solver.config, self.system, state, without)
-        copy_into(memory.arrays, {name: a for name, a in start.arrays.items() if name in memory.arrays}, some=True)
+        kept = {name: values for name, values in start.point.memory.items() if name in memory.arrays}
+        copy_into(memory.arrays, kept, some=True)
         # New memory builds its neighbour lists here; the run's memory had them already.
         plugin.advance(self.system, state, memory, start.poses, 0, self.dt)
         return state, plugin.advance(self.system, state, memory, start.poses, self.steps, self.dt)
@@ -72,19 +73,15 @@ class Costs:
         """Start with another system and its terms with neighbour lists; earlier start states are dropped."""
         self.lists, self.starts = lists, []
 
-    def before(self, state: State, memory: Memory, poses: tuple[Poses, Poses] | None) -> None:
-        """Keep the start state of a frame; beyond the limit every other one is dropped."""
-        size = state.x.nbytes + state.v.nbytes + sum(array.nbytes for array in memory.arrays.values())
-        most = min(MOST_STARTS, MOST_BYTES // size)
-        if len(self.starts) >= max(1, most):
-            self.starts = self.starts[::2] if most > 1 else []
-            self.every *= 2
-            if self.frames % self.every != 0:
-                return
-        self.starts.append(FrameStart(state.copy(), {name: a.copy() for name, a in memory.arrays.items()}, poses))
-
-    def after(self, report: StepReport) -> None:
-        """Count a frame."""
+    def after(self, report: StepReport, start: FrameStart | None) -> None:
+        """Count a frame, and keep its start if that is due; beyond the limit every other one is dropped."""
+        if start is not None and self.lists and self.frames % self.every == 0:
+            most = min(MOST_STARTS, MOST_BYTES // sum(array.nbytes for array in start.point.arrays.values()))
+            if len(self.starts) >= max(1, most):
+                self.starts = self.starts[::2] if most > 1 else []
+                self.every *= 2
+            if self.frames % self.every == 0:
+                self.starts.append(start)
         self.frames += 1
         self.seconds += report.seconds["steps"]
         taken = report.steps + report.totals.get("rejected_steps", 0)

@@ -276,13 +276,16 @@ class Simulation(Stepper):
             before = self._content() if unmoved and not self.state.v.any() else ""
             if self.relaxation is not None or isinstance(self.loaded.scene.damping, Fading):
                 self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
-            if self.memory.lists and self.costs.frames % self.costs.every == 0:
-                self.costs.before(self.state, self.memory, poses)
-            begun = self._watch(poses, unmoved)
+            if self.growth is None:
+                self._begin_growth()
+            does_work = bool(not unmoved or self.system.terms or self.fabric.yarns is not None)
+            self.begin_frame(needed=does_work and (self.growth is not None or bool(self.memory.lists)))
+            self.state.begun = (self.begun.arrays["x"], self.begun.arrays["v"]) if self.begun else None
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
             if report.status == "left":
                 return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
-            self.costs.after(report)
+            begun = FrameStart(self.begun, poses) if does_work and self.begun else None
+            self.costs.after(report, begun)
             report = self._judge(report, begun)
             # Frames after one that changes nothing change nothing either.
             self._still = bool(before) and self.memory.timeless and report.status == "ok" and before == self._content()
@@ -306,17 +309,10 @@ class Simulation(Stepper):
             least = 0.5 * float(self.fabric.mass[~self.fabric.pinned].sum()) * slow * slow
             self.growth = EnergyGrowth(self.measure(self.poses).energy, self.dt / self.limit.dt, least)
 
-    def _watch(self, poses: tuple[Poses, Poses] | None, unmoved: bool) -> FrameStart | None:
-        """Return the start state of a frame in which more than gravity may do work; None if no check needs it."""
-        if self.growth is None:
-            self._begin_growth()
-        if self.growth is None or (unmoved and not self.system.terms and self.fabric.yarns is None):
-            return None
-        state = State(self.state.x.copy(order="F"), self.state.v.copy(order="F"), self.state.t)
-        return FrameStart(state, {name: a.copy() for name, a in self.memory.arrays.items()}, poses)
-
     def _judge(self, report: StepReport, begun: FrameStart | None) -> StepReport:
-        """Return the report of a frame, diverged where its step has added energy; `begun` is from `_watch`."""
+        """Return the report of a frame, diverged where its step has added energy; `begun` is its start, None for one in
+        which only gravity does work.
+        """
         if self.growth is None or (report.status == "ok" and not self.growth.exceeds(report.energy)):
             return report
         message = f"{report.message}; " if report.message else ""
@@ -406,9 +402,9 @@ class Simulation(Stepper):
         self.system = damped(self.system, self.loaded.scene, self.frame, self.relaxation)
         return self.solver.plugin.forces(self.system, self.state, self.memory, poses)  # type: ignore[no-any-return]
 
-    def whole(self, digest: str = "") -> tuple[Arrays, dict[str, Any]]:
+    def whole(self) -> tuple[Arrays, dict[str, Any]]:
         """Return arrays and text of a checkpoint, with the changed objects and the bound on the energy."""
-        (arrays, text), (fabrics, changes) = super().whole(digest), self.altered()
+        (arrays, text), (fabrics, changes) = super().whole(), self.altered()
         energy = {} if self.growth is None else {ENERGY: self.growth.account}
         return arrays | fabrics | energy, changes | text
 
