@@ -245,7 +245,7 @@ def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block")
     called = define("called", head, COMPILED)
     body = "    return alone if isinstance(threads, types.NoneType) else several"
     typed = define("typed", head, body, alone=alone, several=several, types=types)
-    overload(called, jit_options=FLAGS, inline="always")(typed)
+    overload(called, jit_options=FLAGS | {"forceinline": True}, strict=False)(typed)
     return called
 
 
@@ -253,5 +253,5 @@ def overloaded(parameters: str, build: Callable[[Any], Any]) -> Any:
     """Return a function that compiled code calls as the one that `build` makes for the type of its first parameter."""
     called = define("called", parameters, COMPILED)
     typed = define("typed", parameters, f"    return build({parameters.partition(',')[0]})", build=build)
-    overload(called, jit_options=FLAGS, inline="always")(typed)
+    overload(called, jit_options=FLAGS | {"forceinline": True}, strict=False)(typed)
     return called

@@ -330,6 +330,7 @@ def test_one_that_returns_another_type_than_it_says_is_called_by_what_it_returns
         "event:register",
         "runtime:rtsys.library",
         "serialize:dumps",
+        "targetconfig:TargetConfig._values",
         "typing.templates:AttributeTemplate.generic_resolve",
     ],
 )

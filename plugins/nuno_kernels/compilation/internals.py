@@ -38,6 +38,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.targetconfig import TargetConfig
 from numba.core.typed_passes import NopythonTypeInference
 from numba.core.typing.templates import AttributeTemplate as AttributeTemplate  # for nuno_kernels.compilation.reference
 
@@ -436,6 +437,21 @@ def _optimize_functions(library: Any, module: Any) -> None:
 
 
 JITCodeLibrary._optimize_functions = _optimize_functions
+
+# Compilation without comparing flags one by one.
+#
+# numba looks overloads up by the types of their arguments and by its flags, which are nearly always the same ones, and
+# makes two tables of them each time: 5 % of a first run's compilation.
+
+_equal_in_all = TargetConfig.__eq__
+
+
+def _equal(flags: Any, other: Any) -> bool:
+    return bool(isinstance(other, TargetConfig) and flags._values == other._values) or bool(_equal_in_all(flags, other))
+
+
+TargetConfig.__eq__ = _equal
+TargetConfig.__hash__ = lambda flags: hash(type(flags))  # numba's own is of the names alone, likewise
 
 
 # Compilation without garbage collection.
