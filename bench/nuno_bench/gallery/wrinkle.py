@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno.collision.bodies import build_bodies, outlines
+from nuno.collision.bodies import outlines
 from nuno.exports.cloth import Pieces, read_frame
 from nuno.exports.pictures import export_picture
+from nuno.python_api.fit import cut
 from nuno.recording.reader import Recording
 from nuno.recording.recorded import Frame
 from nuno.scene import scene_file, shipped
@@ -23,7 +24,7 @@ from nuno_bench.gallery.kind import Figure, Finding, Gallery, Measures, show_sce
 from nuno_bench.report.page import Table
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Float, Int, State
+from nuno_schemas.fabric import Float, Int, State
 from nuno_schemas.pictures import Picture
 
 NEAR = 0.06
@@ -99,9 +100,7 @@ def _operations(loaded: Loaded) -> list[dict[str, Any]]:
 
 def _raise(loaded: Loaded, before: Frame) -> Float:
     """(n, 3) [m] where the scene's lines raise the cloth, before any step: a frame later it has sunk already."""
-    bodies = build_bodies(loaded) if loaded.scene.bodies else None
-    poses = bodies.poses(0.0) if bodies else None
-    fabric, _ = cloth.build_fabric(loaded, bodies.geometry if bodies else None, poses)
+    fabric, _ = cloth.build_fabric(loaded)
     state = State(before.x.astype(np.float64), np.zeros(before.x.shape), before.t)
     for operation in loaded.operations:
         changed = operation.plugin.apply(operation.config, fabric, state, None).changed
@@ -239,7 +238,7 @@ def _across(x: Float, faces: Int, crest: Int) -> tuple[float, float]:
     normal *= np.sign((top - one) @ normal)
     height = float((top - one) @ normal)
     u, w, beside = (x - one) @ chord, (x - one) @ normal, (x - top) @ np.cross(chord, normal)
-    start, end = _cut(faces, beside >= 0.0, np.stack([u, w], axis=1), beside)
+    start, end = cut(np.stack([w, beside, u], axis=1), faces, 0.0).ends.transpose(1, 0, 2)
     low, high = np.minimum(start[:, 1], end[:, 1]), np.maximum(start[:, 1], end[:, 1])
     half = 0.5 * height
     share = np.clip((half - start[:, 1]) / np.where(high > low, end[:, 1] - start[:, 1], 1.0), 0.0, 1.0)
@@ -248,20 +247,6 @@ def _across(x: Float, faces: Int, crest: Int) -> tuple[float, float]:
                              level[(low < half) & (high >= half)]])  # fmt: skip
     within = places[(places >= 0.0) & (places <= np.linalg.norm(other - one))]
     return height, float(np.ptp(within)) if len(within) else 0.0
-
-
-def _cut(faces: Int, left: Bool, flat: Float, beside: Float) -> tuple[Float, Float]:
-    """Ends (s, 2) of the segments in which the plane cuts triangles: `flat` (n, 2) where `beside` (n,) is 0."""
-    cut = faces[left[faces].any(axis=1) & ~left[faces].all(axis=1)]
-    # The corner that is alone on its side, then the other two.
-    alone = np.argmax(left[cut] == (left[cut].sum(axis=1) == 1)[:, None], axis=1)
-    rows = np.arange(len(cut))
-    first, second, third = (cut[rows, (alone + k) % 3] for k in range(3))
-    ends = []
-    for far in (second, third):
-        share = (beside[first] / (beside[first] - beside[far]))[:, None]
-        ends.append(flat[first] + share * (flat[far] - flat[first]))
-    return ends[0], ends[1]
 
 
 def _judge_circle(measured: Measures) -> Finding:

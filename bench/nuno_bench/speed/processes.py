@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -23,9 +23,7 @@ import numpy as np
 import yaml
 
 import nuno
-from nuno.bus.messages import ALL, Bus, Inbox, Message
-from nuno.bus.sessions import spoke
-from nuno.collision.messages import decode_poses
+from nuno.python_api.active_run import Heard
 from nuno.runtime import runs, supervisor
 from nuno.runtime.outcome import Outcome
 from nuno.runtime.service import Options
@@ -207,9 +205,12 @@ def live(repeats: int) -> list[Result]:
 
 def measure() -> dict[str, float]:
     """Measure one run. Raises RunFailed if it does not reach its end."""
-    with tempfile.TemporaryDirectory() as folder, _standing(Path(folder)) as (run, endpoint, outcome):
+    with (
+        tempfile.TemporaryDirectory() as folder, _standing(Path(folder)) as (run, endpoint, outcome),
+        ThreadPoolExecutor(1) as thread, nuno.watch(run, STATE.name, BODIES.name) as messages,
+    ):  # fmt: skip
         receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-        arrived = _Arrivals(run, endpoint)
+        arrivals = thread.submit(_arrivals, messages)
         process = multiprocessing.get_context("spawn").Process(target=send_poses, args=(run, endpoint, sender))
         process.start()
         assert receiver.recv() == "sending"
@@ -217,15 +218,14 @@ def measure() -> dict[str, float]:
         sent = np.array(receiver.recv())
         process.join()
         ended = outcome()
-        arrived.join()
+        first, missing = arrivals.result()
     if ended.state != "done":
         raise RunFailed(f"{ended.state}: {ended.error}")
     followed = ended.services["collision"]["followed"][BODY]
-    first = {number: at for at, number in sorted(arrived.ages(), reverse=True)}
     ages = [(at - sent[number]) * RATE for number, at in first.items()]
     return {
         "lost": float(len(sent) - followed["heard"]),
-        "missing": float(arrived.skipped),
+        "missing": float(missing),
         "late": float(ended.summary["clock"]["late"]),
         "median": float(np.median(ages)),
         "most": float(np.percentile(ages, 99)),
@@ -251,40 +251,19 @@ def height_of(number: int) -> float:
     return 1e-6 * number
 
 
-class _Arrivals(threading.Thread):
-    """Records the arrival times of a run's states, and the number of the pose that each follows."""
-
-    def __init__(self, run: str, endpoint: str) -> None:
-        super().__init__(daemon=True)
-        self.run_id, self.endpoint, self.skipped = run, endpoint, 0
-        self._states: dict[int, float] = {}
-        self._poses: dict[int, int] = {}
-        self._listens = threading.Event()
-        self.start()
-        self._listens.wait()
-
-    def run(self) -> None:
-        """Listen until the run is over."""
-        with spoke(self.endpoint) as session:
-            bus = Bus(session, self.run_id, "bench")
-            inbox = Inbox(bus, [ALL], newest_only=True)
-            bus.present()  # once this is answered, the hub knows of who listens
-            self._listens.set()
-            while (message := inbox.get(timeout=2.0)) is not None:
-                if not isinstance(message, Message):
-                    continue
-                if message.topic == STATE.name:
-                    self._states[message.header.frame] = time.monotonic()
-                    self.skipped += message.skipped
-                elif message.topic == BODIES.name:
-                    height = decode_poses(message.payload).translation[0, 1]
-                    self._poses[message.header.frame] = round(height / height_of(1))
-
-    def ages(self) -> Iterator[tuple[float, int]]:
-        """Yield the arrival time [s] and the pose's number of each state that follows a pose."""
-        for frame, at in self._states.items():
-            if self._poses.get(frame, 0) > 0:
-                yield at, self._poses[frame]
+def _arrivals(messages: Iterable[Heard]) -> tuple[dict[int, float], int]:
+    """Return when the first state that follows each pose arrived [s], by the pose's number, and how many states did not
+    come. Ends with the run.
+    """
+    arrived, followed, missing = dict[int, float](), dict[int, int](), 0
+    for heard in messages:
+        if heard.topic == STATE.name:
+            arrived[heard.frame] = time.monotonic()
+            missing += heard.skipped
+        else:
+            followed[heard.frame] = round(heard.value[0]["translation"][0, 1] / height_of(1))
+    first = {followed[frame]: at for frame, at in reversed(arrived.items()) if followed.get(frame, 0) > 0}
+    return first, missing
 
 
 @contextmanager
