@@ -23,14 +23,13 @@ from nuno_bench.report import page
 from nuno_bench.report.page import Report, Sections, Table
 from nuno_bench.sweep.executor import (
     Executor,
-    LostTask,
     SweepFile,
     add_executor_arguments,
     open_executor,
     require_kept,
     versions,
 )
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 # One random scene, stepped to its end: in which frames cloth passes through cloth, by ipctk and by our own check.
 
@@ -197,7 +196,7 @@ def run_all(
     found = {one.seed: one for one in (PileOutcome(**line) for line in kept.lines)}
     left = [(seed, duration) for seed in dict.fromkeys(seeds) if seed not in found]
     for (seed, _), one in where.run(run_pile, left):
-        if isinstance(one, BadInput | LostTask):
+        if isinstance(one, BadInput | RunFailed):
             one = PileOutcome(seed, status="crashed", message=str(one))
         found[seed] = one
         kept.add(vars(one))

@@ -27,7 +27,6 @@ from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import INK, Curve, Panel, draw
 from nuno_bench.sweep.executor import (
     Executor,
-    LostTask,
     PackedScene,
     SweepFile,
     add_executor_arguments,
@@ -266,9 +265,8 @@ def measure_all(
     tasks = (Task(s, names, most, deadline - time.monotonic()) for s, names in wanted.items() if names)
     for task, found in executor.run(measure_setting, tasks):
         say(f"{task.describe()} ({max(0.0, deadline - time.monotonic()):.0f} s left at most)")
-        if isinstance(found, BadInput | LostTask):
-            why = found.problem if isinstance(found, BadInput) else found.reason
-            omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {why}")
+        if isinstance(found, BadInput | RunFailed):
+            omissions.append(f"{task.describe()}, {', '.join(task.solvers)}: {reason_of(found)}")
             continue
         for row in found:
             points += row

@@ -30,7 +30,7 @@ from nuno_bench.piles import G
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import number
 from nuno_bench.report.plots import Curve, Panel
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
+from nuno_bench.sweep.executor import Executor, add_executor_arguments, open_executor
 from nuno_cloth.fabrics.laboratory import read_drape
 from nuno_schemas.colour import read_rgb
 from nuno_schemas.errors import BadInput, RunFailed
@@ -226,10 +226,8 @@ def _drape(sheet: Sheet, fabric: object, given: Mapping[str, Any], how: TestOpti
     # Those that take longest are begun first.
     starts, found = sorted({start for each in over.values() for start in each}), dict[Start, specimens.Drape]()
     for start, one in how.executor.run(partial(_drape_from, fabric, radius, support), starts):
-        if isinstance(one, BadInput):
+        if isinstance(one, BadInput | RunFailed):
             raise one
-        if isinstance(one, LostTask):
-            raise RunFailed(f"drapemeter: {one}")
         found[start] = one
         how.say(f"drape {len(found)} of {len(starts)} is at rest")
     sheet.drapes = {start: found[start] for start in starts}

@@ -46,18 +46,8 @@ PATIENCE = 60.0
 """Time without a result after which the workers are checked [s]."""
 
 
-@dataclass(frozen=True)
-class LostTask:
-    """Result of a task whose process was lost in every attempt."""
-
-    reason: str
-
-    def __str__(self) -> str:
-        return self.reason
-
-
-Done = tuple[Task, Found | BadInput | LostTask]
-"""A task and its result."""
+Done = tuple[Task, Found | BadInput | RunFailed]
+"""A task and its result: RunFailed if its process was lost in every attempt."""
 
 
 class Executor:
@@ -138,12 +128,12 @@ def as_completed(
             future.cancel()
 
 
-def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | LostTask:
+def _alone(call: Callable[[Task], Found], task: Task) -> Found | BadInput | RunFailed:
     pool = _start(1)
     try:
         return pool.submit(attempt, call, task).result()
     except BrokenProcessPool:
-        return LostTask("its process was lost twice, the second time while no other ran (out of memory?)")
+        return RunFailed("its process was lost twice, the second time while no other ran (out of memory?)")
     finally:
         _kill(pool)
 
@@ -277,10 +267,8 @@ class Cluster(Executor):
                     yield task, future.result()
                 except KilledWorker as error:
                     times = error.allowed_failures + 1
-                    yield (
-                        task,
-                        LostTask(f"its worker ended, {times} times, the last one at {error.last_worker.address}"),
-                    )
+                    last = error.last_worker.address
+                    yield task, RunFailed(f"its worker ended, {times} times, the last one at {last}")
         except (OSError, CancelledError) as error:
             raise RunFailed(f"the connection to the Dask scheduler at {self.address} was lost") from error
 

@@ -35,7 +35,6 @@ from nuno_bench.report import page
 from nuno_bench.report.page import number
 from nuno_bench.sweep.executor import (
     Executor,
-    LostTask,
     PackedScene,
     SweepFile,
     add_executor_arguments,
@@ -287,7 +286,7 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
     left = [Combination(i, packed, text, side, threads) for i, text in enumerate(texts) if i not in done]
     with kept or nullcontext():
         for point, result in place.where.run(measure, left):
-            row = _refused(result) if isinstance(result, BadInput | LostTask) else result
+            row = _refused(result) if isinstance(result, BadInput | RunFailed) else result
             done[point.number] = {**combinations[point.number], **row}
             if kept is not None:
                 kept.add({"number": point.number, "row": done[point.number]})
@@ -331,9 +330,9 @@ def _check(packed: PackedScene, combinations: Sequence[Mapping[str, Any]], texts
             raise cast(BadInput, refusal(uses[0]))
 
 
-def _refused(error: BadInput | LostTask) -> Row:
+def _refused(error: BadInput | RunFailed) -> Row:
     why = "; ".join(" ".join(line.split()) for line in str(error).removeprefix(f"{GIVEN}: ").splitlines())
-    return {STATE: "lost" if isinstance(error, LostTask) else "refused", WHY: why}
+    return {STATE: "lost" if isinstance(error, RunFailed) else "refused", WHY: why}
 
 
 def measure(point: Combination) -> Row:

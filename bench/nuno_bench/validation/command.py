@@ -22,10 +22,10 @@ from nuno_bench.options import require_known
 from nuno_bench.report import page, plots
 from nuno_bench.report.page import Figure, Part, Report, Sections, Table, number
 from nuno_bench.report.plots import Curve, Panel, draw
-from nuno_bench.sweep.executor import Executor, LostTask, add_executor_arguments, open_executor
+from nuno_bench.sweep.executor import Executor, add_executor_arguments, open_executor
 from nuno_bench.validation import contacts, dye, oscillator, statics
 from nuno_bench.validation.law import BrokenRun, Case, Outcome, Unsupported
-from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.errors import BadInput, RunFailed, nearest
 
 # Every law against every installed solver, and what came out.
 
@@ -119,7 +119,7 @@ def check_all(parts: Sequence[Suite], executor: Executor, say: Callable[[str], N
     say(f"{len(every)} checks; the first of them tell how long all take")
     begin, said = time.monotonic(), 0.0
     for key, outcome in executor.run(check_named, drawn):
-        if isinstance(outcome, BadInput | LostTask):
+        if isinstance(outcome, BadInput | RunFailed):
             outcome = Outcome(*key, "failed", str(outcome))
         found[key] = outcome
         spent, done, left = time.monotonic() - begin, len(found), len(every) - len(found)
