@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import importlib
-from types import ModuleType
+from functools import partial
 
-from nuno.cli import Parser
+from nuno import cli
 
 COMMANDS = {
     "speed": ("nuno_bench.speed.command", "measured bars: kernels, pipeline, start, memory, recording"),
@@ -22,6 +21,7 @@ COMMANDS = {
     ),
 }
 """Module and summary of each measurement; a module has `KIND_arguments(parser)` and `KIND_command(args)`."""
+parser_of = partial(cli.parser_of, commands=COMMANDS, program="nuno bench")
 
 
 def bench_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,12 +35,3 @@ def bench_command(args: argparse.Namespace) -> int:
     """Run one measurement; the exit code is 1 if it could not be taken."""
     module, parser = parser_of(args.kind)
     return int(getattr(module, f"{args.kind}_command")(parser.parse_args(args.arguments)))
-
-
-def parser_of(kind: str) -> tuple[ModuleType, argparse.ArgumentParser]:
-    """Return the module of a measurement, one of COMMANDS, and the parser of its arguments."""
-    path, summary = COMMANDS[kind]
-    module = importlib.import_module(path)
-    parser = Parser(prog=f"nuno bench {kind}", description=summary[0].upper() + summary[1:] + ".")
-    getattr(module, f"{kind}_arguments")(parser)
-    return module, parser

@@ -8,7 +8,7 @@ import importlib
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -166,14 +166,16 @@ def _dispatch(arguments: list[str]) -> int:
     return int(getattr(module, f"{arguments[0]}_command")(parser.parse_args(arguments[1:])))
 
 
-def parser_of(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
+def parser_of(
+    name: str, commands: Mapping[str, tuple[str, str]] = COMMANDS, program: str = "nuno"
+) -> tuple[ModuleType, argparse.ArgumentParser]:
     """Return a command's module, and the parser of its arguments. Raises BadInput for an unknown name."""
-    if name not in COMMANDS:
-        raise BadInput(f"no command {name!r}", remedy=nearest(name, COMMANDS))
-    path, summary = COMMANDS[name]
+    if name not in commands:
+        raise BadInput(f"no command {name!r}", remedy=nearest(name, commands))
+    path, summary = commands[name]
     module = importlib.import_module(path)
     parser = Parser(
-        prog=f"nuno {name}",
+        prog=f"{program} {name}",
         description=summary[0].upper() + summary[1:] + ".",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
