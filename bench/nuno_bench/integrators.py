@@ -10,6 +10,7 @@ import statistics
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -110,16 +111,14 @@ class Trace:
         return found | {"peaks": peaks}
 
 
-def run_experiment(
-    path: Path, overrides: Sequence[str], integrators: Sequence[str], repeats: int, say: Callable[[str], None]
-) -> list[Trace]:
-    """All integrators with split and unsplit bones. Raises BadInput for a scene that cannot be run.
+def run_experiment(path: Path, overrides: Sequence[str], repeats: int, say: Callable[[str], None]) -> list[Trace]:
+    """All of INTEGRATORS with split and unsplit bones. Raises BadInput for a scene that cannot be run.
 
     Penalty contact is the paper's, without a margin, unless the scene or an override gives one. Repeats are taken in
     rounds over all variants, so that a machine that slows down slows all.
     """
     overrides = _papers_contact(path, overrides)
-    variants = [(name, split) for split in (True, False) for name in integrators]
+    variants = [(name, split) for split in (True, False) for name in INTEGRATORS]
     scenes = [
         scene_file.read(
             path, [*overrides, f"solver.plugin={name}", f"{SPLIT}={str(split).lower()}", "allow_unstable=true"]
@@ -201,11 +200,7 @@ SLOWER = 1.1
 
 def integrators_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="a scene with a garment on a skeleton, e.g. skirt-paper")
-    parser.add_argument(
-        "--integrators", default=",".join(INTEGRATORS), metavar="A,B", help="methods to compare (default: %(default)s)"
-    )
-    what = "runs of each variant that are timed (default: %(default)s)"
-    options.add_count(parser, "--repeats", what, 3)
+    options.add_count(parser, "--repeats", "runs of each variant that are timed (default: %(default)s)", 3)
     options.add_shared(parser, "--set", "--out", "--docs")
 
 
@@ -213,17 +208,15 @@ def integrators_command(args: argparse.Namespace) -> int:
     """Run, print the table and the map, write page, CSV and JSON. A run that diverges is a result."""
     plots.require_matplotlib()
     page.check_section(args.docs, "integrators")
-    names = options.names_of(args.integrators)
-    options.require_known(names, INTEGRATORS, "method in this comparison", "--integrators")
     path: Path = shipped.find(args.scene)
     loaded = scene_file.read(path, args.overrides)
     if not loaded.colliders or loaded.colliders[0].name != "skeleton":
         problem = "the comparison needs a skeleton as its first body"
         raise BadInput(problem, str(path), field="bodies.0", remedy="use skirt-paper")
-    others = machine.OtherLoad()
-    traces = run_experiment(path, args.overrides, names, args.repeats, lambda text: print(text, file=sys.stderr))
+    others, say = machine.OtherLoad(), partial(print, file=sys.stderr)
+    traces = run_experiment(path, args.overrides, args.repeats, say)
     print(runs(traces).text())
-    cells = map_settings(path, args.overrides, lambda text: print(text, file=sys.stderr))
+    cells = map_settings(path, args.overrides, say)
     print(regions(cells).text())
     found = report(path.stem, traces, cells, machine.about(others))
     found.write_beside(args.out / f"integrators-{path.stem}", args.docs, "integrators")
