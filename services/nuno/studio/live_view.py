@@ -20,7 +20,8 @@ from nuno.bus.messages import Bus, Inbox, Message
 from nuno.bus.sessions import spoke
 from nuno.collision.bodies import NO_SURFACES, Surfaces, build_bodies, surface
 from nuno.collision.messages import DRAWN_QUERY, POSES_QUERY, decode_geometry, decode_poses
-from nuno.exports.cloth import as_png, colour_of
+from nuno.exports.cloth import as_png, cut_pieces
+from nuno.recording.recorded import Arrays
 from nuno.runtime import runs
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
@@ -64,17 +65,11 @@ def see_objects(loaded: Loaded) -> tuple[Sight, Fabric, list[Fabric]]:
     drawn = draw_bodies(bodies.drawn if bodies else None, size_of(fabric.position))
     edges, rest = structural_edges(fabric)
     uv, image = _print(loaded, fabric, pieces)
-    sight = Sight(
-        fabric.position,
-        fabric.faces,
-        _coloured(pieces, fabric.faces),
-        drawn.at(poses) if poses is not None else NO_POINTS,
-        drawn.faces,
-        edges,
-        rest.astype(np.float32),
-        frames=loaded.scene.frames,
-        uv=uv,
-        image=image,
+    arrays: Arrays = {"x": fabric.position, "faces": fabric.faces, "edges": edges, "edge_rest": rest.astype(np.float32)}
+    text = {"vertices": fabric.number, "objects": [vars(piece) for piece in pieces], "frame": 0, "t": 0.0}
+    body = drawn.at(poses) if poses is not None else NO_POINTS
+    sight = replace(
+        see_now(arrays, text), body=body, body_faces=drawn.faces, frames=loaded.scene.frames, uv=uv, image=image
     )
     return sight, fabric, fabrics
 
@@ -100,34 +95,20 @@ def _print(loaded: Loaded, fabric: Fabric, pieces: Iterable[Piece]) -> tuple[NDA
     return uv, b"" if dyed or not shown.texture else as_png(read_rgb(Path(shown.texture)))
 
 
-def see_now(arrays: Mapping[str, NDArray[Any]], text: Mapping[str, Any]) -> Sight:
-    """Decode a run's answer about its cloth, without its bodies. Raises BadMessage."""
+def see_now(arrays: Arrays, text: Mapping[str, Any]) -> Sight:
+    """Return a description of cloth, as `sim/fabric` has it, with x (n, 3) [m], frame and t [s], without its bodies.
+    Raises BadMessage.
+    """
     try:
-        pieces = [cloth.Piece(o["name"], int(o["start"]), int(o["stop"]), colour=o["colour"]) for o in text["objects"]]
-        x, faces, edges, rest = (arrays[name] for name in ("x", "faces", "edges", "edge_rest"))
-        sight = Sight(x, faces, tuple(pieces), edges=edges, rest=rest, frame=int(text["frame"]), t=float(text["t"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadMessage(f"cloth without {error}") from None
-    if x.shape[1:] != (3,) or not (
-        _joins(faces, 3, len(x)) and _joins(edges, 2, len(x)) and rest.shape == edges.shape[:1]
-    ):
-        raise BadMessage(f"cloth of {x.shape} positions, {faces.shape} triangles and {edges.shape} links")
-    return replace(sight, pieces=_coloured(pieces, faces))
-
-
-def _coloured(pieces: Iterable[cloth.Piece], faces: Int) -> tuple[cloth.Piece, ...]:
-    """Give objects of triangles (f, 3) without a colour that of pictures, as `cut_pieces` does."""
-    first = faces[:, 0] if faces.size else np.zeros(0, np.int32)
-    return tuple(
-        piece if piece.colour or not ((first >= piece.start) & (first < piece.stop)).any()
-        else replace(piece, colour=colour_of(i))
-        for i, piece in enumerate(pieces)
-    )  # fmt: skip
-
-
-def _joins(rows: NDArray[Any], corners: int, count: int) -> bool:
-    """Return whether rows have `corners` columns of indices below `count`."""
-    return rows.shape[1:] == (corners,) and (rows.size == 0 or bool(0 <= rows.min() <= rows.max() < count))
+        x, pieces = arrays["x"], cut_pieces(arrays, text)
+        if x.shape != (text["vertices"], 3):
+            raise ValueError(f"positions of shape {x.shape} for {text['vertices']} vertices")
+        return Sight(
+            x, arrays["faces"], tuple(Piece(one.name, one.start, one.stop, colour=one.colour) for one in pieces),
+            edges=arrays["edges"], rest=arrays["edge_rest"], frame=int(text["frame"]), t=float(text["t"]),
+        )  # fmt: skip
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+        raise BadMessage(f"{NOW}: {error}") from None
 
 
 # The cloth and the bodies at one moment, as bytes for the browser.
