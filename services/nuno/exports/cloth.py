@@ -8,6 +8,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -153,16 +154,13 @@ class Pieces:
     """The cloth of a recording over time, with changes by operations. Raises BadInput as `read_pieces`."""
 
     def __init__(self, recording: Recording) -> None:
-        self._recording = recording
         self._times = [message.t for message in recording.messages([FABRIC.name])]
-        self._cache: dict[int, list[ShownPiece]] = {}
+        self._read = cache(partial(read_pieces, recording))
 
     def at(self, t: float) -> list[ShownPiece]:
         """Return the pieces at t [s]."""
         index = max(bisect_right(self._times, t) - 1, 0)
-        if index not in self._cache:
-            self._cache[index] = read_pieces(self._recording, self._times[index] if self._times else None)
-        return self._cache[index]
+        return self._read(self._times[index] if self._times else None)
 
 
 def read_pieces(recording: Recording, t: float | None = None, by_view: bool = True) -> list[ShownPiece]:

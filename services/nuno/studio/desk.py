@@ -102,16 +102,13 @@ class Exports:
     def forget(self, name: str) -> None:
         """Stop the exports of a recording, and remove its files."""
         for key in [key for key in self._made if key[0] == name]:
-            _, child = self._made.pop(key)
-            if child.code is None:
-                child.end()
+            self._made.pop(key)[1].end()
             shutil.rmtree(self._file(*key).parent)
 
     def close(self) -> None:
         """Stop all exports, and remove all files."""
         for _, child in self._made.values():
-            if child.code is None:
-                child.end()
+            child.end()
         self._folder.cleanup()
 
 

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -157,7 +158,7 @@ class Film:
         self.times = sorted(time for time in states or numbers if self.end is None or time < self.end * 1e9)
         self.numbers = [numbers.get(time, i) for i, time in enumerate(self.times)]
         self._changes = [time for time in changes if self.times and time <= self.times[-1]]
-        self._shapes: dict[int, Shape] = {}
+        self._shape = lru_cache(MOST_SHAPES)(lambda number: read_shape(recording, self._changes[number] / 1e9))
         self._bodies: Surfaces = NO_SURFACES
         self._dyed: DyedPictures | None = None
         self.origin = np.zeros(3)
@@ -246,12 +247,7 @@ class Film:
                 raise BadInput("the recording does not describe its cloth", str(self.recording.path))
             if not 0 <= number < len(self._changes):
                 raise IndexError("there is no such shape")
-            if number not in self._shapes:
-                self._shapes[number] = read_shape(self.recording, self._changes[number] / 1e9)
-            self._shapes[number] = shape = self._shapes.pop(number)
-            for old in list(self._shapes)[:-MOST_SHAPES]:
-                del self._shapes[old]
-            return shape
+            return self._shape(number)
 
     def stills(self, times: Sequence[int]) -> list[Still]:
         """Return the cloth at ascending log times [ns] between the first frame and the last.

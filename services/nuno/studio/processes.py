@@ -192,7 +192,7 @@ class Child:
             return output
 
     def end(self, terminate: bool = True) -> None:
-        """Wait for the command's end, after a signal if `terminate`; kill it if it takes too long."""
+        """Wait for the command's end, after a signal if `terminate` and it still runs; kill it if it takes too long."""
         if terminate:
             self._process.terminate()
         try:

@@ -120,8 +120,7 @@ class Recordings:
         if run in runs.running():
             raise BadInput("its run goes on", value=path.name, remedy="stop it before")
         for children in (self._drawing, self._verifying):
-            child = children.pop(path.name, None)
-            if child is not None and child.code is None:
+            if (child := children.pop(path.name, None)) is not None:
                 child.end()
         try:
             path.unlink()
@@ -135,8 +134,7 @@ class Recordings:
     def close(self) -> None:
         """End the processes that were started here."""
         for child in (*self._drawing.values(), *self._verifying.values()):
-            if child.code is None:
-                child.end()
+            child.end()
 
 
 def run_of(name: str) -> str:
