@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -140,8 +141,8 @@ def test_a_moment_between_frames_is_on_the_way_between_them(path: Path) -> None:
 def test_a_film_of_what_stands_still_is_not_blurred(path: Path) -> None:
     """After the last frame nothing moves any more."""
     with open_recording(path) as recording:
-        last = [frame.number for frame in recording.frames()][-1:]
-        sharp, blurred = (next(draw_frames(recording, last, SIZE, shutter=shutter)) for shutter in (0.0, 0.01))
+        last, paint = [frame.number for frame in recording.frames()][-1:], partial(Painter, recording, size=SIZE)
+        sharp, blurred = (next(draw_frames(recording, paint, last, shutter=shutter)) for shutter in (0.0, 0.01))
     assert np.array_equal(sharp, blurred)
 
 

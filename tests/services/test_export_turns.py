@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def test_a_turn_comes_round_and_every_side_is_in_the_picture(path: Path, tmp_pat
     """Once round one frame, in as many pictures as its time and rate have; a quarter on, it is the next side."""
     with open_recording(path) as recording:
         frame = read_frame(recording, 5)
-        pictures = list(draw_turn(recording, frame, 8, SIZE))
+        pictures = list(draw_turn(partial(Painter, recording, size=SIZE), frame, list(range(8))))
         painter = Painter(recording, [frame], SIZE)
         painter.stand_back(frame)
         assert turned(painter.camera, 2.0 * np.pi).eye == pytest.approx(painter.camera.eye)

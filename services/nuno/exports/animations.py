@@ -19,6 +19,7 @@ from nuno.exports.dyed_pictures import PAPER, Changes, choose_amounts, draw_amou
 from nuno.exports.pictures import (
     PLAIN_RENDERING,
     Colour,
+    Painter,
     Picture,
     Rendering,
     check_colour,
@@ -90,17 +91,14 @@ def export_animation(
             draw = partial(draw_amounts, stack.enter_context(dyed_pictures(recording, changes, DYED_SIDE)))
         else:
             rate = _rate(encoder, fps or RATE)
-            shown = size or SIZE
+            paint = partial(Painter, recording, size=size or SIZE, colour=colour, changes=changes, rendering=rendering)
             if shot.turn is None:
                 frames = choose_frames(recording, rate, shot.start, shot.end)
-                draw = partial(
-                    draw_frames, recording, size=shown, colour=colour, changes=changes, rendering=rendering,
-                    shutter=shot.shutter / rate,
-                )  # fmt: skip
+                draw = partial(draw_frames, recording, paint, shutter=shot.shutter / rate)
             else:
                 require_drawable(shot.turn * rate)
                 frames = list(range(max(1, round(shot.turn * rate))))
-                draw = _turning(recording, shot.frame, shown, colour, changes, rendering)
+                draw = partial(draw_turn, paint, read_frame(recording, shot.frame))
         # Evenly spaced frames determine a GIF's palette.
         samples = [frames[k] for k in np.linspace(0, len(frames) - 1, PALETTE_PICTURES).round().astype(int)]
         if encoder is not None:
@@ -116,19 +114,6 @@ def export_animation(
 def _rate(encoder: Any, fps: float) -> float:
     """Return the rate of a file [pictures/s]: `fps` for an MP4, the nearest possible for a GIF."""
     return fps if encoder is not None else min(GIF_RATES, key=lambda rate: abs(rate - fps))
-
-
-def _turning(
-    recording: Recording, frame: int | None, size: tuple[int, int], colour: Colour, changes: Changes | None,
-    rendering: Rendering,
-) -> Callable[..., Iterator[Picture]]:  # fmt: skip
-    """Return a function that draws a turn in as many pictures as there are numbers. Raises BadInput for no frame."""
-    shown = read_frame(recording, frame)
-
-    def draw(numbers: list[int], progress: Progress | None = None) -> Iterator[Picture]:
-        return draw_turn(recording, shown, len(numbers), size, progress, colour, changes, rendering)
-
-    return draw
 
 
 def check_animation(path: Path, fps: float | None, size: tuple[int, int] | None = None) -> Any:

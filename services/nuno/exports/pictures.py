@@ -306,23 +306,17 @@ def export_picture(
 
 
 def draw_frames(
-    recording: Recording,
-    numbers: list[int],
-    size: tuple[int, int] | None = None,
-    progress: Progress | None = None,
-    colour: Colour = "auto",
-    changes: Changes | None = None,
-    rendering: Rendering = PLAIN_RENDERING,
+    recording: Recording, paint: Callable[..., Painter], numbers: list[int], progress: Progress | None = None,
     shutter: float = 0.0,
-) -> Iterator[Picture]:
-    """Draw chosen frames, in order, with one camera that is fitted to all, each as a shutter sees it that is open for
-    so long [s]; a repeated number repeats its picture. Raises BadInput.
+) -> Iterator[Picture]:  # fmt: skip
+    """Draw chosen frames, in order, by a Painter of the recording whose camera is fitted to all, each as a shutter sees
+    it that is open for so long [s]; a repeated number repeats its picture. Raises BadInput.
     """
     looks = {numbers[round(k * (len(numbers) - 1) / (LOOKS - 1))] for k in range(LOOKS)}
     shown = [frame for frame in recording.frames() if frame.number in looks]
     times = Counter(numbers)
     number = len(times) * (MOMENTS if shutter else 1)
-    painter = Painter(recording, shown, size, {"samples": 4}, colour, changes, rendering, number)
+    painter = paint(shown, options={"samples": 4}, number=number)
 
     def draw(frame: Frame) -> Picture:
         return painter.blur(frame, shutter) if shutter else painter.draw(frame)
@@ -332,17 +326,13 @@ def draw_frames(
 
 
 def draw_turn(
-    recording: Recording,
-    frame: Frame,
-    number: int,
-    size: tuple[int, int] | None = None,
-    progress: Progress | None = None,
-    colour: Colour = "auto",
-    changes: Changes | None = None,
-    rendering: Rendering = PLAIN_RENDERING,
+    paint: Callable[..., Painter], frame: Frame, numbers: list[int], progress: Progress | None = None
 ) -> Iterator[Picture]:
-    """Draw a frame from all sides, in a turn of `number` pictures. Raises BadInput."""
-    painter = Painter(recording, [frame], size, {"samples": 4}, colour, changes, rendering, number)
+    """Draw a frame by a Painter of its recording from all sides, in a turn of as many pictures as there are numbers.
+    Raises BadInput.
+    """
+    number = len(numbers)
+    painter = paint([frame], options={"samples": 4}, number=number)
     painter.stand_back(frame)
     return (painter.draw(frame, 2.0 * np.pi * k / number) for k in following(range(number), number, progress))
 
