@@ -19,7 +19,6 @@ import numpy as np
 import psutil
 from pydantic import BaseModel
 
-from nuno.collision.bodies import build_bodies
 from nuno.dye.run import DyeRun
 from nuno.plugin_contract import registry
 from nuno.process import attended
@@ -146,15 +145,13 @@ def make_problem(loaded: Loaded, threads: int = 0) -> Problem:
 
     Raises BadInput for a scene without free vertices, or too large for the memory.
     """
-    fabric, pieces = cloth.build_fabric(loaded)
+    system, bodies = cloth.build_scene(loaded, threads or cores())
+    fabric = system.fabric
     if fabric.number == 0 or bool(fabric.pinned.all()):
         raise BadInput("nothing in the scene can move, so there is no error to measure", loaded.file)
     check_memory(loaded, 3 * fabric.number)
-    bodies = build_bodies(loaded) if loaded.colliders else None
     times = [i / float(loaded.scene.frame_rate) for i in range(loaded.scene.frames + 1)]
     poses = tuple(bodies.poses(t) if bodies else None for t in times)
-    geometry = bodies.geometry if bodies else None
-    system = cloth.build_system(loaded, fabric, pieces, geometry, poses[0], threads or cores())
     return Problem(loaded, system, poses)
 
 

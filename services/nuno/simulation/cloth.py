@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.bodies import build_bodies, surface, vertex_normals
+from nuno.collision.bodies import Bodies, build_bodies, surface, vertex_normals
 from nuno.runtime.stepper import require_memory
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.scene_file import Loaded
@@ -362,6 +362,14 @@ def build_system(
         term = _prepare_term(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies)
         terms.append(replace(term, bodies=tuple(loaded.scene.bodies[i].name for i in met_bodies)))
     return System(fabric, gravity, _most_damping(loaded.scene), tuple(terms), threads, carried)
+
+
+def build_scene(loaded: Loaded, threads: int) -> tuple[System, Bodies | None]:
+    """Build a scene's cloth, bodies and forces at the start. Raises BadInput."""
+    fabric, pieces = build_fabric(loaded)
+    bodies = build_bodies(loaded) if loaded.colliders else None
+    geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
+    return build_system(loaded, fabric, pieces, geometry, poses, threads), bodies
 
 
 def may_attach(loaded: Loaded) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno.collision.bodies import Bodies, build_bodies
+from nuno.collision.bodies import Bodies
 from nuno.plugin_contract import registry
 from nuno.process import attended
 from nuno.scene.scene_file import FIRST, Loaded
@@ -63,7 +63,7 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
     if loaded.integrator.plugin.adaptive:
         remedy = "leave accuracy out and give the solver's tolerance, or name another solver"
         raise loaded.at("accuracy", BadInput(f"{first} chooses its own steps", value=accuracy, remedy=remedy))
-    system, bodies = _build(loaded)
+    system, bodies = cloth.build_scene(loaded, os.cpu_count() or 1)
     if system.fabric.number == 0 or bool(system.fabric.pinned.all()):
         return written(loaded, _solver_fields(loaded, first), "nothing can move, so any will do")
     start = _method(loaded, system, first, SAFE[accuracy])
@@ -92,13 +92,6 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
 def _solver_fields(loaded: Loaded, name: str) -> dict[str, Any]:
     """Return a solver with the scene's own fields."""
     return {**loaded.scene.solver.config, "plugin": name}
-
-
-def _build(loaded: Loaded) -> tuple[System, Bodies | None]:
-    fabric, pieces = cloth.build_fabric(loaded)
-    bodies = build_bodies(loaded) if loaded.colliders else None
-    geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
-    return cloth.build_system(loaded, fabric, pieces, geometry, poses, os.cpu_count() or 1), bodies
 
 
 def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method | None, budget: Budget) -> Trials:
