@@ -86,27 +86,19 @@ def renumber(fabric: Fabric, numbers: Int | None) -> Fabric:
     if numbers is None:
         return fabric
     place = invert(numbers)
-    parts: dict[str, Any] = {
-        name: getattr(fabric, name)[numbers] for name in ("position", "velocity", "mass", "pinned")
-    }
-    if fabric.uv is not None:
-        parts["uv"] = fabric.uv[numbers]
-    if fabric.corners is not None:
-        parts["corners"] = replace(fabric.corners, vertex=place[fabric.corners.vertex])
-    if fabric.merged is not None:
-        parts["merged"] = place[fabric.merged]
-    if fabric.cells is not None:
-        parts["cells"] = place[fabric.cells]
+    parts: dict[str, Any] = {}
+    for name in ("position", "velocity", "mass", "pinned", "uv", "merged", "cells"):
+        if (values := getattr(fabric, name)) is not None:
+            parts[name] = place[values] if name in ("merged", "cells") else values[numbers]
+    for name, vertices in (("corners", "vertex"), ("membrane", "faces"), ("friction", "vertices")):
+        if (part := getattr(fabric, name)) is not None:
+            parts[name] = replace(part, **{vertices: place[getattr(part, vertices)]})
     if fabric.springs is not None:
         parts["springs"] = _renumber_springs(fabric.springs, place)
     if fabric.hinges is not None:
         parts["hinges"] = _renumber_hinges(fabric.hinges, place)
-    if fabric.membrane is not None:
-        parts["membrane"] = replace(fabric.membrane, faces=place[fabric.membrane.faces])
     if fabric.bending is not None:
         parts["bending"] = replace(fabric.bending, pairs=np.sort(place[fabric.bending.pairs], axis=1))
-    if fabric.friction is not None:
-        parts["friction"] = replace(fabric.friction, vertices=place[fabric.friction.vertices])
     bindings = tuple(replace(binding, vertices=place[binding.vertices]) for binding in fabric.bindings)
     return replace(fabric, faces=place[fabric.faces], bindings=bindings, numbers=numbers, **parts)
 
