@@ -16,9 +16,9 @@ import numpy as np
 
 from nuno.collision.bodies import build_bodies
 from nuno.formatting import for_json
+from nuno.output_files import replacing
 from nuno.process import check_unprotected
 from nuno.python_api.plan import Row, describe
-from nuno.recording.writer import part_of
 from nuno.scene import edit, scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import item_at
@@ -246,20 +246,14 @@ def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
 def write_whole(path: Path, text: str) -> None:
     """Replace a file's text completely, or leave it unchanged. Raises BadInput.
 
-    The text is written to a file next to it, flushed to the disk, and renamed; permissions are kept, links followed.
+    The text is written to a new file, flushed to the disk, and moved there; permissions are kept, links followed.
     """
     path = path.resolve()
     check_unprotected(path)
-    part = part_of(path)
-    try:
-        with part.open("w", encoding="utf-8", newline="") as file:
+    with replacing(path) as new:
+        with new.open("w", encoding="utf-8", newline="") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
         if path.exists():
-            shutil.copymode(path, part)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        remedy = "choose a folder that can be written, or export the lines"
-        raise BadInput(f"cannot be written: {error.strerror}", str(path), remedy=remedy) from None
+            shutil.copymode(path, new)
