@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +55,7 @@ def export_usd(
     with opened(source) as recording, writing(path, SUFFIX) as new, scratch() as folder:
         stage, pxr = folder / "run.usdc", _pxr()
         try:
-            with _stage(stage) as opened_stage:
-                _Writer(recording, opened_stage, stage.parent, frame).write(progress)
+            _Writer(recording, stage, frame).write(progress)
             done, why = pxr.UsdUtils.CreateNewUsdzPackage(str(stage), str(new)), ""
             done = done and zipfile.is_zipfile(new)  # pxr says nothing of bytes that the disk did not take
         except pxr.Tf.ErrorException as error:
@@ -80,21 +78,14 @@ def _pxr() -> Any:
     return load_extra(names, "USD needs usd-core", "usd", "export a .glb")
 
 
-@contextmanager
-def _stage(path: Path) -> Iterator[Any]:
-    pxr = _pxr()
-    stage = pxr.Usd.Stage.CreateNew(str(path))
-    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    yield stage
-    stage.Save()
-
-
 class _Writer:
-    """Adds frames to a stage with images in a folder: all with their time codes, or a single one without."""
+    """Writes a stage's file, and images next to it: all frames with their time codes, or a single one without."""
 
-    def __init__(self, recording: Recording, stage: Any, folder: Path, frame: int | None) -> None:
-        self.recording, self.stage, self.folder, self.frame, self.pxr = recording, stage, folder, frame, _pxr()
+    def __init__(self, recording: Recording, path: Path, frame: int | None) -> None:
+        self.recording, self.folder, self.frame, self.pxr = recording, path.parent, frame, _pxr()
+        self.stage = stage = self.pxr.Usd.Stage.CreateNew(str(path))
+        self.pxr.UsdGeom.SetStageUpAxis(stage, self.pxr.UsdGeom.Tokens.y)
+        self.pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         self.root = self.pxr.UsdGeom.Xform.Define(stage, "/run")
         stage.SetDefaultPrim(self.root.GetPrim())
         self.changes = frame is None and recording.counts.get(FABRIC.name, 0) > 1
@@ -105,17 +96,16 @@ class _Writer:
         self.shaped: dict[str, ShownPiece | None] = {}
         """The piece of cloth of each mesh, by path; None for bodies."""
 
-    def frames(self) -> Iterable[Frame]:
-        """Return the frames to write."""
-        return self.recording.frames() if self.frame is None else [read_frame(self.recording, self.frame)]
-
     def write(self, progress: Progress | None) -> None:
         """Write all frames. Raises BadInput."""
         cloth, bodies = Pieces(self.recording), read_bodies(self.recording)
-        number = self.recording.counts.get(STATE.name, 0) if self.frame is None else 1
+        frames: Iterable[Frame] = self.recording.frames()
+        number, time_code = self.recording.counts.get(STATE.name, 0), self.pxr.Usd.TimeCode
+        if self.frame is not None:
+            frames, number = [read_frame(self.recording, self.frame)], 1
         origin, shown = None, None
-        for done, shown in enumerate(following(self.frames(), number, progress), 1):
-            x, code = shown.x, self.code(shown)
+        for done, shown in enumerate(following(frames, number, progress), 1):
+            x, code = shown.x, time_code(shown.number) if self.frame is None else time_code.Default()
             pieces = cloth.at(shown.t)
             check_size(self.recording, pieces, shown, finite=True)
             if origin is None:
@@ -141,10 +131,7 @@ class _Writer:
         for piece in pieces if dyed is None else dyed.dress(pieces, shown.t):
             if len(piece.faces):
                 self.colour(piece)
-
-    def code(self, frame: Frame) -> Any:
-        """Return the time code of a frame's moving data."""
-        return self.pxr.Usd.TimeCode(frame.number) if self.frame is None else self.pxr.Usd.TimeCode.Default()
+        self.stage.Save()
 
     def name(self, of: str, parent: str) -> str:
         """Return the unique USD path, of letters, digits and _, for a name of ours in a parent."""
