@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +77,14 @@ def compare(
     names = names_of(recordings)
     with ExitStack() as stack:
         file = stack.enter_context(RrdFile(path, together(recordings)))
-        compared = [
-            Compared(
-                name, recording, _bridge(layout.Entities(file.recording, name, tone), recording, stack, scales, colour)
-            )
-            for name, recording, tone in zip(names, recordings, itertools.cycle(layout.CURVES))
-        ]
+        compared = []
+        for name, recording, tone in zip(names, recordings, itertools.cycle(layout.CURVES)):
+            bridge = Bridge(
+                file.recording, subject_of(recording).view, images=partial(read_texture, recording),
+                painter=recorded_painter(recording, stack), colour=colour,
+                entities=layout.Entities(file.recording, name, tone), scales=scales,
+            )  # fmt: skip
+            compared.append(Compared(name, recording, bridge))
         for recording in recordings:
             measure_scales(recording, scales)
         _log_all(compared, over, progress)
@@ -123,15 +126,6 @@ def _kind(recording: Recording) -> str | None:
     """Return what a recording's frames are of, "moving cloth" or "dye"; None without frames."""
     kinds = {STATE.name: "moving cloth", CONCENTRATION.name: "dye"}
     return next((kind for topic, kind in kinds.items() if recording.counts.get(topic)), None)
-
-
-def _bridge(
-    entities: layout.Entities, recording: Recording, stack: ExitStack, scales: dict[str, Scale], colour: str
-) -> Bridge:
-    return Bridge(
-        entities.recording, subject_of(recording).view, images=lambda texture: read_texture(recording, texture),
-        painter=recorded_painter(recording, stack), colour=colour, entities=entities, scales=scales,
-    )  # fmt: skip
 
 
 def _log_all(compared: Sequence[Compared], over: bool, progress: Progress | None) -> None:

@@ -6,21 +6,17 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nuno.bus.encodings import BadMessage, decode_arrays, encode_arrays
 from nuno.bus.messages import Inbox, Message
 from nuno.exports.cloth import find_named
 from nuno.runtime.service import Context, Finish, each_message
 from nuno.scene.provenance import assets, versions
-from nuno.scene.scene_file import Loaded
 from nuno.viewer.live import LiveView, require
 from nuno.viewer.stream import END, LOOP, Subject, application, properties, scene_of
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.messages import CHECKPOINTS, CLOTH, CONCENTRATION, EVENT, FABRIC, FRAMES, REPORT, STATE, TOPICS, Topic
-
-if TYPE_CHECKING:
-    from nuno.dye.painter import DyePainter
 
 EVENTS = Topic(f"{EVENT.name}/*", EVENT.encoding, EVENT.schema)
 VIEWED = [topic for topic in TOPICS.values() if topic.recorded and topic.name not in CHECKPOINTS] + [EVENTS]
@@ -50,9 +46,11 @@ class Viewer:
         )  # fmt: skip
         self.file: Any = None
         if options.save is not None:
+            from nuno.viewer.dyed import viewer_painter
             from nuno.viewer.file import RerunFile
 
-            self.file = RerunFile(options.save, subject, painter=_painter(context.loaded))
+            painter = None if context.loaded.dye is None else viewer_painter(context.loaded)
+            self.file = RerunFile(options.save, subject, painter=painter)
         self.leader = STATE.name if scene.moves else CONCENTRATION.name
         self.live: LiveView | None = None
         if options.view:
@@ -123,14 +121,6 @@ class Viewer:
             summary |= {"shown": self.live.shown, "skipped": self.live.skipped, "error": self.live.error}
             summary |= {"pid": self.live.pid, "page": self.live.page}
         return summary
-
-
-def _painter(loaded: Loaded) -> DyePainter | None:
-    if loaded.dye is None:
-        return None
-    from nuno.viewer.dyed import viewer_painter
-
-    return viewer_painter(loaded)
 
 
 def main(context: Context) -> None:
