@@ -22,6 +22,7 @@ from nuno_bench.speed.timing import measure, watch_compiler
 from nuno_schemas.fabric import Float, Int, State
 from nuno_schemas.operation import Surface
 from nuno_schemas.pictures import Mesh, Worn, frame
+from nuno_schemas.vectors import face_areas
 
 UNIT = "M queries/s"
 LEGS = {"20,000": 58, "330,000": 244}
@@ -65,8 +66,7 @@ def leg(around: int) -> tuple[Float, Int]:
 def points_near(x: Float, faces: Int, count: int) -> Float:
     """(count, 3) points about OFF from the surface, in the order of the triangles they are near."""
     rng = np.random.default_rng(0)
-    a, b, c = (x[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = face_areas(x[faces])
     chosen = np.sort(rng.choice(len(faces), count, p=area / area.sum()))
     weights = rng.dirichlet(np.ones(3), count)
     return np.asarray(np.einsum("nk,nkj->nj", weights, x[faces[chosen]]) + OFF * rng.normal(size=(count, 3)))

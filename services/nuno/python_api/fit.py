@@ -21,6 +21,7 @@ from nuno.simulation.yarns import named_heights
 from nuno_schemas.bodies import OF_TRIANGLES
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Bool, Corners, Float, Int, Membrane, Panels
+from nuno_schemas.vectors import unit_rows
 
 Mesh = tuple[Float, Int]
 """Vertices (m, 3) [m] and faces (g, 3)."""
@@ -120,8 +121,7 @@ def _fit(
 def _normals(mesh: Mesh, closest: Any) -> Float:
     """Return the normals (n, 3) of a body at its closest points."""
     of_corners = vertex_normals(*mesh)[mesh[1][closest.face]]
-    normal = np.einsum("nc,ncd->nd", closest.weights, of_corners)
-    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
+    return unit_rows(np.einsum("nc,ncd->nd", closest.weights, of_corners))
 
 
 def wearer(
@@ -225,8 +225,7 @@ def _through(loop: Float, x: Float, faces: Int) -> tuple[tuple[float, ...], Bool
         return (), np.zeros(len(x), np.bool_)
     # The second axis is normal to the plane, which is then level.
     up = -inwards / size
-    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    side /= np.linalg.norm(side)
+    side = unit_rows(np.cross(up, np.eye(3)[int(np.abs(up).argmin())]))
     turn = np.stack([np.cross(up, side), up, side], axis=1)
     outline, placed = (loop - centre) @ turn, (x - centre) @ turn
     parts = [(part, *part.hull()) for part in cut(placed, faces, 0.0).curves()]
@@ -572,11 +571,8 @@ def pull_across(x: Float, membrane: Membrane, face: Int, side: Int) -> tuple[Flo
     yarns = np.einsum("ytc,tcd->ytd", membrane.shares()[:, face], placed)
     stress = _stress(yarns, membrane.moduli[:, face])
     traction = np.einsum("ty,ytd->td", normal, stress)
-    way = placed[end] - placed[start]
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    out = placed[start] - placed[third]
-    out -= (out * way).sum(axis=1)[:, None] * way
-    out /= np.linalg.norm(out, axis=1)[:, None]
+    way, out = unit_rows(placed[end] - placed[start]), placed[start] - placed[third]
+    out = unit_rows(out - (out * way).sum(axis=1, keepdims=True) * way)
     return length, (traction * out).sum(axis=1)
 
 

@@ -14,6 +14,7 @@ from nuno.scene.scene_file import Loaded
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.operation import Outcome
 from nuno_schemas.plugin import Landmarked
+from nuno_schemas.vectors import vertex_areas
 
 # Tension of links of yarns, for display.
 
@@ -195,11 +196,8 @@ def measure_stretch(fabric: Fabric, x: Float) -> dict[str, Any]:
     if not (rest > 0.0).any() or not np.isfinite(x).all():
         return {}
     pairs, rest = pairs[rest > 0.0], rest[rest > 0.0]
-    a, b, c = np.take(x, fabric.faces.T, axis=0)
-    area = np.repeat(np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
-    weight = (
-        np.bincount(fabric.faces.reshape(-1), area, len(x)) if len(area) else np.bincount(pairs[:, 0], minlength=len(x))
-    )
+    faces = fabric.faces
+    weight = vertex_areas(x, faces) if len(faces) else np.bincount(pairs[:, 0], minlength=len(x))
     with np.errstate(over="ignore", invalid="ignore"):
         elongation = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1) / rest - 1.0
     stretch = np.full(len(x), -1.0)
