@@ -12,7 +12,7 @@ from scenes import BALL, write_scene
 from nuno.bus.messages import Bus
 from nuno.bus.sessions import hub_at, spoke
 from nuno.runtime import runs, supervisor
-from nuno.runtime.consistency import compare, leaves, premises_of
+from nuno.runtime.consistency import compare, premises_of
 from nuno.runtime.service import Options, run_service
 from nuno.runtime.supervisor import Deployment, Outcome
 from nuno.scene import scene_file, shipped
@@ -201,9 +201,12 @@ def test_premises_cross_the_bus_unchanged(tmp_path: Path) -> None:
     assert json.loads(json.dumps(own)) == own
 
 
-def test_values_are_named_by_their_fields() -> None:
-    one = {"a": 1, "b": [{"c": 2}, {"c": 3}], "e": None}
-    assert leaves(one) == {"a": 1, "b[0].c": 2, "b[1].c": 3, "e": None}
+def test_values_are_named_by_their_fields(tmp_path: Path) -> None:
+    scene = scene_file.read(write_scene(tmp_path, bodies=BALL))
+    own, dumped = premises_of(scene, False), scene.scene.model_dump(mode="json")
+    named = {"gravity[1]": dumped["gravity"][1], "bodies[0].name": dumped["bodies"][0]["name"], "dye": None}
+    assert {field: own[field] for field in named} == named
+    assert not own.keys() & {"", "gravity", "bodies", "bodies[0]"}
 
 
 def test_a_part_that_only_one_has_is_named(tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ from nuno.plugin_contract import registry
 from nuno.python_api.run import Result, run_loaded, table_of
 from nuno.python_api.scene import Scene, as_texts, in_python, loaded
 from nuno.scene import shipped, yaml_lines
-from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.validation_errors import GIVEN
 from nuno_bench import machine, options
@@ -270,7 +269,7 @@ def run_all(scene: Loaded, over: Mapping[str, Sequence[Any]], place: Place, side
         if lost := [item for item in scene.overrides if f"{item.partition('=')[0]}.".startswith(f"{key}.")]:
             problem, remedy = "the sweep gives this field its values", "leave one of the two out"
             raise BadInput(problem, field="--over", value=key, limit=f"--set {lost[0]}", remedy=remedy)
-    for _, text in texts_in(list(over.values())):
+    for text in (text for _, text in yaml_lines.walk(list(over.values())) if isinstance(text, str)):
         with suppress(BadInput, OSError, ValueError):  # a text that is no file's name
             scene.files.resolve(text)
     packed = pack_loaded(scene)

@@ -321,7 +321,7 @@ def extend(loaded: Loaded, item: str) -> tuple[Loaded, str]:
     items = data["dye"]["cloth"].setdefault(place, [])
     items.append(fields)
     path: yaml_lines.Path = ("dye", "cloth", place, len(items) - 1)
-    lines = dict.fromkeys([*loaded.lines, *yaml_lines.places(fields, path)], UNNUMBERED)
+    lines = dict.fromkeys([*loaded.lines, *(place for place, _ in yaml_lines.walk(fields, path))], UNNUMBERED)
     files = RecordedFiles(loaded.files.folder, loaded.files.roots, loaded.files.used)
     return scene_file.load(data, lines, NAME, files), yaml_lines.dotted(path)
 

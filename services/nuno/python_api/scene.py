@@ -102,7 +102,7 @@ class Scene:
         return iter(self._data)
 
     def _ipython_key_completions_(self) -> list[str]:
-        return [".".join(map(str, place)) for place in yaml_lines.places(self._data) if place]
+        return [".".join(map(str, place)) for place, _ in yaml_lines.walk(self._data) if place]
 
     def __str__(self) -> str:
         return str(yaml.safe_dump(self._data, sort_keys=False, allow_unicode=True, width=100))

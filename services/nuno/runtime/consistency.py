@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import zenoh
@@ -18,6 +17,7 @@ from nuno.scene.files import stamp_of
 from nuno.scene.override import item_at, number_or_name, parts_of
 from nuno.scene.provenance import CHANGE_RESULTS, assets, plugins, versions
 from nuno.scene.scene_file import Loaded
+from nuno.scene.yaml_lines import dotted, walk
 from nuno_schemas.errors import BadInput, RunFailed
 
 PREMISES = "premises"
@@ -44,7 +44,8 @@ def premises_of(loaded: Loaded, resumes: bool, real_time: bool = False) -> Premi
         place = tuple(map(number_or_name, parts_of(chosen.field)))
         item_at(scene, place).update(chosen.config.model_dump(mode="json"))
     packages = {name: version for name, version in versions().items() if name in CHANGE_RESULTS}
-    premises = leaves(scene) | {"decided": not loaded.scene.undecided, "resumes": resumes}
+    premises: Premises = {dotted(place): leaf for place, leaf in walk(scene) if not isinstance(leaf, dict | list)}
+    premises |= {"decided": not loaded.scene.undecided, "resumes": resumes}
     premises["clock"] = ("simulation" if loaded.scene.moves else "dye") if real_time else ""
     premises |= {f"version {name}": version for name, version in (packages | plugins(loaded)).items()}
     for name, path in assets(loaded).items():
@@ -56,17 +57,6 @@ def premises_of(loaded: Loaded, resumes: bool, real_time: bool = False) -> Premi
         except OSError as error:
             raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
     return premises
-
-
-def leaves(value: object, field: str = "") -> Premises:
-    """Return each value that is no mapping or list, by its field, as `bodies[0].collider.radius`."""
-    if isinstance(value, Mapping):
-        items = [(f"{field}.{name}" if field else str(name), item) for name, item in value.items()]
-    elif isinstance(value, list):
-        items = [(f"{field}[{i}]", item) for i, item in enumerate(value)]
-    else:
-        return {field: value}
-    return {name: leaf for inner, item in items for name, leaf in leaves(item, inner).items()}
 
 
 def offer_premises(bus: Bus, loaded: Loaded, resumes: bool, real_time: bool) -> None:

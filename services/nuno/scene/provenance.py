@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
-from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from nuno.plugin_contract import registry
 from nuno.scene.scene_file import Loaded
+from nuno.scene.yaml_lines import walk
 from nuno_schemas import SCHEMA_VERSION
 from nuno_schemas.errors import BadInput
 
@@ -65,19 +65,7 @@ def assets(loaded: Loaded) -> dict[str, Path]:
     a file's name only adds that file.
     """
     for chosen in loaded.chosen:
-        for _, text in texts_in(chosen.config.model_dump()):
+        for text in (text for _, text in walk(chosen.config.model_dump()) if isinstance(text, str)):
             with contextlib.suppress(BadInput, OSError, ValueError):
                 loaded.files.resolve(text)
     return dict(loaded.files.used)
-
-
-def texts_in(value: object, field: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the texts in a configuration, each with its innermost field."""
-    if isinstance(value, str):
-        yield field, value
-    elif isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from texts_in(item, name)
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from texts_in(item, field)

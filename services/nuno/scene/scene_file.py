@@ -131,9 +131,9 @@ class Loaded:
         elif error.field is None and isinstance(error.value, str):
             names = {error.value}
         if names:
-            paths = (path for path in yaml_lines.places(self.data) if dotted(path).startswith(f"{field}."))
-            texts = ((path, item_at(self.data, path)) for path in paths)
-            field = next((dotted(path) for path, text in texts if isinstance(text, str) and text in names), field)
+            texts = ((dotted(path), text) for path, text in yaml_lines.walk(self.data) if isinstance(text, str))
+            within = f"{field}."
+            field = next((place for place, text in texts if place.startswith(within) and text in names), field)
         return located(error, self.file, self.lines, field)
 
     @contextmanager

@@ -124,12 +124,12 @@ def _gap(one: yaml.Node, other: yaml.Node) -> int:
     return other.start_mark.column - one.end_mark.column if one.end_mark.line == other.start_mark.line else 0
 
 
-def places(value: Any, path: Path = ()) -> Iterator[Path]:
-    """Yield the path of a value, and the paths of all values in it."""
-    yield path
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+def walk(value: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
+    """Yield a value and all values in it, each with its path."""
+    yield path, value
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
     for key, item in items:
-        yield from places(item, (*path, key))
+        yield from walk(item, (*path, key))
 
 
 def parse(text: str, file: str) -> tuple[dict[str, Any], dict[Path, int]]:

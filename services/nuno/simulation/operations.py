@@ -53,7 +53,7 @@ def parse(item: str, loaded: Loaded) -> tuple[int, Chosen, str]:
     if "at" in fields:
         raise BadInput("what is added is applied at once", NAME, field="at", remedy="leave it out")
     data = {"plugin": name, **fields}
-    lines = dict.fromkeys(yaml_lines.places(data), UNNUMBERED)
+    lines = dict.fromkeys((place for place, _ in yaml_lines.walk(data)), UNNUMBERED)
     applied = validated(Applied, data, NAME, lines)
     names = [spec.name for spec in loaded.scene.objects]
     object_name = applied.object or (names[0] if len(names) == 1 else "")

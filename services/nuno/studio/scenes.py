@@ -22,7 +22,6 @@ from nuno.python_api.plan import Row, describe
 from nuno.scene import edit, scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
 from nuno.scene.override import item_at
-from nuno.scene.provenance import texts_in
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
 from nuno.simulation.cloth import drawn_over, frame_of, no_body
@@ -39,9 +38,11 @@ FILES = ("file", "texture")
 def check_named(loaded: Loaded) -> None:
     """Raise BadInput for a missing file, and for cloth on a missing body."""
     for chosen in loaded.chosen:
-        for name in (text for field, text in texts_in(chosen.config.model_dump()) if field in FILES):
-            with loaded.errors_at(chosen.field):
-                loaded.files.resolve(name)
+        for place, text in yaml_lines.walk(chosen.config.model_dump()):
+            field = next((part for part in reversed(place) if isinstance(part, str)), "")
+            if isinstance(text, str) and field in FILES:
+                with loaded.errors_at(chosen.field):
+                    loaded.files.resolve(text)
     bodies = [body.name for body in loaded.scene.bodies]
     for i, model in enumerate(loaded.models):
         over, attach = drawn_over(model), getattr(model.config, "attach", None)
@@ -205,8 +206,7 @@ def _files_used(text: str, path: Path) -> bool:
     except BadInput:
         return False
     return bool(loaded.files.used) or any(
-        isinstance(value := item_at(loaded.data, place), str) and (path.parent / value).is_file()
-        for place in yaml_lines.places(loaded.data)
+        isinstance(value, str) and (path.parent / value).is_file() for _, value in yaml_lines.walk(loaded.data)
     )
 
 
