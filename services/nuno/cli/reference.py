@@ -6,13 +6,14 @@ import argparse
 import json
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel
 
 from nuno import cli
 from nuno.plugin_contract import registry
 from nuno.scene.json_schema import PLACES, scene_schema
+from nuno.scene.validation_errors import models_in
 from nuno_schemas.messages import MODELS, POSES, TOPICS, Header, Topic
 from nuno_schemas.plugin import GROUPS
 
@@ -127,7 +128,8 @@ class _Page:
         for name, field in part.get("properties", {}).items():
             if name == "plugin":
                 continue
-            limits, units = (", ".join(dict.fromkeys(read(field))) for read in (_limits, _units))
+            units = ", ".join(dict.fromkeys(str(one["unit"]) for one in _inside(field) if one.get("unit")))
+            limits = ", ".join(dict.fromkeys(limit for one in _inside(field) for limit in _limits(one)))
             meaning = plain(field.get("description")) or ("which one of several" if "const" in field else "")
             default = "" if name in part.get("required", ()) else _default(field)
             rows.append([f"`{name}`", " or ".join(_unique(self._takes(field))), units, default, limits, meaning])
@@ -175,18 +177,14 @@ def _unique(words: Iterator[str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def _inside(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the schemas within a field's schema, without other parts and plugins."""
+def _inside(node: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a field's schema and all within it, without other parts and plugins."""
+    yield node
     nodes = [*node.get("anyOf", ()), *node.get("oneOf", ()), *node.get("prefixItems", ())]
     nodes += [node[key] for key in ("items", "additionalProperties") if isinstance(node.get(key), dict)]
-    return [one for one in nodes if "properties" not in one]
-
-
-def _units(node: dict[str, Any]) -> Iterator[str]:
-    if node.get("unit"):
-        yield str(node["unit"])
-    for one in _inside(node):
-        yield from _units(one)
+    for one in nodes:
+        if "properties" not in one:
+            yield from _inside(one)
 
 
 def _limits(node: dict[str, Any]) -> Iterator[str]:
@@ -198,8 +196,6 @@ def _limits(node: dict[str, Any]) -> Iterator[str]:
         yield f"{least or 0} to {most} of them" if most else f"{least} of them at least"
     if "maxLength" in node:
         yield f"at most {node['maxLength']} letters"
-    for one in _inside(node):
-        yield from _limits(one)
 
 
 def _written(value: Any) -> str:
@@ -304,14 +300,9 @@ def describe_messages() -> str:
     parts += [f"\n## Header\n\nThe attachment of each message, as JSON. {_description(Header)}\n", _fields(Header)]
     for name, model in MODELS.items():
         parts += [f"\n## {name}\n\n{_description(model)}\n", _fields(model)]
-        nested = [one for field in model.model_fields.values() for one in get_args(field.annotation) if _is_model(one)]
-        for one in nested:
+        for one in (one for field in model.model_fields.values() for one in models_in(field.annotation)):
             parts += [f"\n### {one.__name__}\n\n{_description(one)}\n", _fields(one)]
     return "\n".join([*parts, f"\n{ARRAYS}"])
-
-
-def _is_model(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _holds(topic: Topic) -> str:
