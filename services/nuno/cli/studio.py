@@ -12,11 +12,11 @@ from nuno.cli.common import add_config, add_scene
 from nuno.runtime import runs
 from nuno.scene import scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
+from nuno.scene.files import MARK, read_scene
 from nuno.scene.override import apply_override, item_at
 from nuno.studio.desk import Desk
 from nuno.studio.draw import require_lines
 from nuno.studio.live_view import see_objects
-from nuno.studio.scenes import MARK, read_text
 from nuno.studio.server import serving
 from nuno_schemas.errors import BadInput
 
@@ -87,7 +87,7 @@ def _open(desk: Desk, path: Path, overrides: list[str], roots: list[Path]) -> st
         scenes.more[entry] = path
     scenes.roots = tuple(roots)
     if overrides:
-        scenes.changed[entry] = _changed(read_text(path).removeprefix(MARK), overrides, path.name)
+        scenes.changed[entry] = _changed(read_scene(path).removeprefix(MARK), overrides, path.name)
     return entry
 
 

@@ -79,6 +79,22 @@ def read_text(path: Path, what: str, remedy: str) -> str:
         raise BadInput(f"{what} cannot be read: {reason}", str(path), remedy=remedy) from None
 
 
+MARK = "\ufeff"
+"""A byte order mark, which some editors write at the start of a file."""
+
+
+def read_scene(path: Path) -> str:
+    """Return the exact text of a scene's file, with line ends and byte order mark. Raises BadInput."""
+    try:
+        if (size := path.stat().st_size) > yaml_lines.MAX_BYTES:
+            raise yaml_lines.too_large(str(path), size)
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
+
+
 def stamp_of(path: Path) -> tuple[int, int]:
     """Return size [bytes] and modification time [ns] of a file. Raises OSError."""
     state = path.stat()

@@ -16,7 +16,7 @@ from nuno.plugin_contract import registry
 from nuno.process import check_compiler
 from nuno.scene import shipped, yaml_lines
 from nuno.scene.chosen_plugins import Chosen, choose_operation, choose_plugin
-from nuno.scene.files import SceneFiles
+from nuno.scene.files import MARK, SceneFiles, read_scene
 from nuno.scene.json_schema import PLACES
 from nuno.scene.override import apply_override, item_at, number_or_name, overridden, parts_of
 from nuno.scene.validation_errors import NO_FIELD, UNNUMBERED, located, models_in, validated
@@ -154,16 +154,7 @@ def read(path: Path, overrides: Sequence[str] = (), roots: Iterable[Path] = (), 
     for root in roots:
         if not root.is_dir():
             raise BadInput("no such folder", field="--root", value=str(root), remedy="name an existing folder")
-    try:
-        size = path.stat().st_size
-        if size > yaml_lines.MAX_BYTES:
-            raise yaml_lines.too_large(str(path), size)
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
-    except OSError as error:
-        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
-    data, lines, empty = yaml_lines.parse_all(text, named or str(path))
+    data, lines, empty = yaml_lines.parse_all(read_scene(path).removeprefix(MARK), named or str(path))
     if named is not None:
         lines = dict.fromkeys(lines, UNNUMBERED)
     for item in overrides:

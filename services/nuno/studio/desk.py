@@ -16,7 +16,7 @@ from typing import Any
 from nuno.plugin_contract import registry
 from nuno.runtime import runs
 from nuno.scene import edit, scene_file, yaml_lines
-from nuno.scene.files import stamp_of
+from nuno.scene.files import MARK, read_scene, stamp_of
 from nuno.scene.recorded_scene import resumed_scene
 from nuno.scene.scene_file import Loaded
 from nuno.studio import dye, scenes
@@ -28,7 +28,6 @@ from nuno.studio.lines import Drawing
 from nuno.studio.processes import Child, Workshop
 from nuno.studio.recordings import Recordings, list_edges, measure_fit, run_of, sew_again
 from nuno.studio.run import Run
-from nuno.studio.scenes import MARK, read_text
 from nuno.studio.screen import Screen
 from nuno.studio.server import NOT_FOUND, Refused, Server, Take
 from nuno_schemas.dyeing import PRESETS, DyeColour
@@ -212,7 +211,7 @@ class Desk:
         """Start the process that builds cloth, which takes seconds, before a scene is opened."""
         with contextlib.suppress(BadInput):
             scene = "hanging-sheet"
-            self._see({"scene": scene, "text": read_text(self.scenes.find(scene)), "page": "first"})
+            self._see({"scene": scene, "text": read_scene(self.scenes.find(scene)), "page": "first"})
 
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page and return its answer. Raises BadInput, which the page shows."""
@@ -290,7 +289,7 @@ class Desk:
 
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))
-        text = read_text(path)
+        text = read_scene(path)
         changed = self.scenes.changed.get(str(request.get("scene")))
         facts = {"text": text, "changed": changed, "own": self._own_file(path), "file": path.name}
         return facts | self._checked(text.removeprefix(MARK) if changed is None else changed, path)
@@ -345,7 +344,7 @@ class Desk:
     def _run(self, request: Mapping[str, Any]) -> dict[str, Any]:
         text, path = self._text(request)
         loaded = scenes.load(text, path, self.scenes.roots)
-        changed = text if text != read_text(path).removeprefix(MARK) else None
+        changed = text if text != read_scene(path).removeprefix(MARK) else None
         entry, paused = str(request.get("scene")), bool(request.get("paused"))
         return self._begin(lambda: Run.start(loaded, entry, changed, paused))
 

@@ -21,10 +21,9 @@ from nuno.exports.cloth import as_png
 from nuno.plugin_contract import registry
 from nuno.recording.reader import open_recording, shortcoming
 from nuno.scene import yaml_lines
-from nuno.scene.files import SceneFiles
+from nuno.scene.files import MARK, SceneFiles, read_scene
 from nuno.scene.templates import build_body, import_sheet, in_units
 from nuno.studio import scenes
-from nuno.studio.scenes import MARK, read_text
 from nuno.studio.server import describe
 from nuno_schemas.bodies import LARGEST, SMALLEST, UNITS, unit_of, units_for
 from nuno_schemas.colour import as_rgb
@@ -224,7 +223,7 @@ def _sheet(path: Path) -> Seen:
 
 def _text(path: Path) -> Seen:
     """Summarise a scene, a pattern or a laboratory's sheet."""
-    text = read_text(path).removeprefix(MARK)
+    text = read_scene(path).removeprefix(MARK)
     if scenes.IS_SCENE.search(text):
         result = scenes.check(text, path)
         data = result["data"] or {}

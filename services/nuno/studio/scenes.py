@@ -21,6 +21,7 @@ from nuno.process import check_unprotected
 from nuno.python_api.plan import Row, describe
 from nuno.scene import edit, scene_file, shipped, yaml_lines
 from nuno.scene.edit import put
+from nuno.scene.files import read_scene
 from nuno.scene.override import item_at
 from nuno.scene.scene_file import Loaded
 from nuno.scene.yaml_lines import dotted
@@ -195,7 +196,7 @@ def check_target(target: Path, before: str | None) -> None:
     """Raise BadInput for a file that exists, unless it still has the text `before`."""
     if target.exists() and before is None:
         raise BadInput("a file of that name is there already", field="name", value=target.name, remedy="another name")
-    if target.exists() and read_text(target) != before:
+    if target.exists() and read_scene(target) != before:
         remedy = "save under another name, or open it again to go on from what it says now"
         raise BadInput("the file was changed since it was opened", str(target), remedy=remedy)
 
@@ -217,20 +218,7 @@ def schema() -> bytes:
     return json.dumps(scene_schema(), separators=(",", ":")).encode()
 
 
-# A scene's file: reading its exact text, adding items to its lists, and replacing it atomically.
-
-MARK = "\ufeff"
-"""A byte order mark, which some editors write at the start of a file."""
-
-
-def read_text(path: Path) -> str:
-    """Return a file's exact text, with line ends and byte order mark. Raises BadInput."""
-    try:
-        return path.read_bytes().decode("utf-8")
-    except UnicodeDecodeError:
-        raise BadInput("not a text file", str(path), remedy="a scene is YAML in UTF-8") from None
-    except OSError as error:
-        raise BadInput(f"cannot be read: {error.strerror}", str(path)) from None
+# A scene's file: adding items to its lists, and replacing it atomically.
 
 
 def append_items(text: str, field: str, items: Sequence[Any], file: str) -> str:
