@@ -23,13 +23,13 @@ from nuno.studio import dye, scenes
 from nuno.studio.cloth import Starts
 from nuno.studio.dropped_files import MOST
 from nuno.studio.dye import Dyed, cloth_of
-from nuno.studio.files import FILE_ACTS, Files
+from nuno.studio.files import Files
 from nuno.studio.lines import Drawing
 from nuno.studio.processes import Child, Workshop
 from nuno.studio.recordings import Recordings, list_edges, measure_fit, run_of, sew_again
 from nuno.studio.run import Run
 from nuno.studio.screen import Screen
-from nuno.studio.server import NOT_FOUND, Refused, Server, Take
+from nuno.studio.server import NOT_FOUND, Act, Refused, Server, Take
 from nuno_schemas.dyeing import PRESETS, DyeColour
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.preset import Preset
@@ -147,20 +147,10 @@ def _feel(preset: Preset) -> dict[str, float]:
     return {"density": values["density"] or 0.0, "bend": sum(bends) / len(bends)}
 
 
-ACTS = (
-    "scenes", "open", "check", "change", "save", "plan", "run", "resume", "control", "now", "see", "draw", "dyed",
-    "paint", "fit", "edges", "sew", "swatches", "leave",
-)  # fmt: skip
-"""Requests of the page, each a method of the desk."""
 LOOKS, PLANS = (60.0, 3 * 2**30), 900.0
 """Limits of building cloth for a page [s, bytes], and of planning [s]: the first time compiles kernels."""
 CONTROLS = ("pause", "resume", "step", "stop", "set", "add")
 """Actions of a run that a page may request, as `nuno control`."""
-OF_FILMS = ("replay", "plots", "compare")
-"""Requests for recordings that are replayed, each a method of the screen."""
-OF_RECORDINGS = {"recording": "open", "picture": "draw", "delete": "delete"}
-OF_RECORDINGS |= {name: name for name in ("verify", "verdict", "resumable")}
-"""Requests for one recording, and the method of `Recordings` for each."""
 
 
 class Desk:
@@ -184,6 +174,21 @@ class Desk:
         self._starting = threading.Lock()
         self._schema, self._looks = functools.cache(scenes.schema), functools.cache(swatches)
         self.files, self.exports = Files(Path(), runs.RECORDINGS), Exports(self.recordings)
+        recordings, screen, files = self.recordings, self.screen, self.files
+        self._acts: dict[str, Act] = {
+            "scenes": self._scenes, "open": self._open, "check": self._check, "change": self._change,
+            "save": self._save, "plan": self._plan, "leave": self._leave, "see": self._see, "dyed": self._dyed,
+            "paint": self._paint, "draw": self._draw, "swatches": lambda _: self._looks(),
+            "run": self._run, "resume": self._resume, "control": self._control, "sew": self._sew,
+            "now": lambda _: self._own.tell() if self._own is not None else {"state": "none"},
+            "recordings": lambda _: {"recordings": recordings.list()}, "recording": _of_one(recordings.open),
+            "picture": _of_one(recordings.draw), "delete": _of_one(self._delete), "fit": self._fit,
+            "verify": _of_one(recordings.verify), "verdict": _of_one(recordings.verdict),
+            "resumable": _of_one(recordings.resumable), "edges": _of_one(lambda of: list_edges(recordings.find(of))),
+            "replay": screen.replay, "plots": screen.plots, "compare": screen.compare, "export": self.exports.export,
+            "files": files.files, "expect": files.expect, "about": files.about, "make": files.make,
+            "drawdown": files.drawdown, "save_draft": files.save_draft,
+        }  # fmt: skip
 
     def attach(self, run: str, entry: str, config: str | None = None) -> None:
         """Show a run that was started elsewhere, of the scene with the page's name `entry`."""
@@ -216,25 +221,9 @@ class Desk:
     def act(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Carry out one request of the page and return its answer. Raises BadInput, which the page shows."""
         name = str(request.get("do"))
-        if name == "delete":
-            self.screen.forget(str(request.get("recording")))
-            self.exports.forget(str(request.get("recording")))
-        if name in OF_RECORDINGS:
-            answer: dict[str, Any] = getattr(self.recordings, OF_RECORDINGS[name])(request.get("recording"))
-        elif name == "recordings":
-            answer = {"recordings": self.recordings.list()}
-        elif name in OF_FILMS:
-            answer = getattr(self.screen, name)(request)
-        elif name in FILE_ACTS:
-            answer = getattr(self.files, name)(request)
-        elif name == "export":
-            answer = self.exports.export(request)
-        elif name in ACTS:
-            answer = getattr(self, f"_{name}")(request)
-        else:
-            names = *ACTS, "recordings", "export", *FILE_ACTS, *OF_FILMS, *OF_RECORDINGS
-            raise BadInput("no such request", value=name, limit=", ".join(names))
-        return answer
+        if name not in self._acts:
+            raise BadInput("no such request", value=name, limit=", ".join(self._acts))
+        return self._acts[name](request)
 
     def close(self) -> None:
         """End the run, processes and films that were started here."""
@@ -262,15 +251,17 @@ class Desk:
             "scenes": [one | {"picture": pictures.get(one["scene"])} for one in self.scenes.list()],
         }
 
+    def _delete(self, recording: object) -> dict[str, Any]:
+        self.screen.forget(str(recording))
+        self.exports.forget(str(recording))
+        return self.recordings.delete(recording)
+
     def _fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fit of a recording's garments on a body, which may be omitted if it is the only one."""
         path, body = self.recordings.find(request.get("recording")), request.get("body")
         with self._measuring:  # a page may ask twice for one that takes long
             found: dict[str, Any] = self._measure(path, stamp_of(path), None if body is None else str(body))
         return found
-
-    def _edges(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        return list_edges(self.recordings.find(request.get("recording")))
 
     def _sew(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Run the scene of a recording with an edge of another length, under new names. Raises BadInput."""
@@ -283,9 +274,6 @@ class Desk:
             return Run.start(scene_file.read(scene, (), self.scenes.roots), scene.name, None, False)
 
         return self._begin(make) | {"eased": eased}
-
-    def _swatches(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        return self._looks()
 
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         path = self.scenes.find(request.get("scene"))
@@ -374,9 +362,6 @@ class Desk:
         answer = self._own.control(action, **item)
         return self._own.tell() | {"changed": {name: answer.get(name) for name in ("field", "old", "new", "frame")}}
 
-    def _now(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        return self._own.tell() if self._own is not None else {"state": "none"}
-
     def _see(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Build the cloth at the start of the text's scene. Raises BadInput."""
         return self._starts.see(self._loaded(request), _page(request), *self._text(request), self.scenes.roots)
@@ -431,6 +416,11 @@ def _read(kind: str, find: Callable[[], Path]) -> tuple[str, bytes]:
         return kind, find().read_bytes()
     except (BadInput, OSError):
         raise Refused(NOT_FOUND, "there is no such picture") from None
+
+
+def _of_one(act: Callable[[object], dict[str, Any]]) -> Act:
+    """Return the answer to requests for one recording."""
+    return lambda request: act(request.get("recording"))
 
 
 def _page(request: Mapping[str, Any]) -> str:

@@ -31,8 +31,6 @@ from nuno_schemas.colour import upright
 from nuno_schemas.dye import Cells
 from nuno_schemas.errors import BadInput, nearest
 
-FILE_ACTS = ("files", "expect", "about", "make", "drawdown", "save_draft")
-"""Requests about files, each a method."""
 LISTED = tuple(kind for kind in KINDS if kind not in (".yaml", ".yml", ".mcap"))
 """Endings of listed files: those of scenes and recordings have lists of their own."""
 
