@@ -59,15 +59,7 @@ def page_files() -> dict[str, tuple[str, bytes]]:
 def describe(error: BadInput) -> dict[str, Any]:
     """Return an error as JSON for a page; `words` is the text of the command line."""
     value = None if error.value is None else str(error.value)[:200]
-    return {
-        "problem": error.problem,
-        "field": error.field or "",
-        "line": error.line,
-        "value": value,
-        "limit": error.limit,
-        "remedy": error.remedy,
-        "words": str(error),
-    }
+    return {"field": "", "line": None} | error.told() | {"value": value, "words": str(error)}
 
 
 class Server(ThreadingHTTPServer):
