@@ -13,9 +13,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -207,16 +206,11 @@ def measure() -> dict[str, float]:
     """Measure one run. Raises RunFailed if it does not reach its end."""
     with (
         tempfile.TemporaryDirectory() as folder, _standing(Path(folder)) as (run, endpoint, outcome),
-        ThreadPoolExecutor(1) as thread, nuno.watch(run, STATE.name, BODIES.name) as messages,
+        ThreadPoolExecutor(1) as thread, ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as sender,
+        nuno.watch(run, STATE.name, BODIES.name) as messages,
     ):  # fmt: skip
-        receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
         arrivals = thread.submit(_arrivals, messages)
-        process = multiprocessing.get_context("spawn").Process(target=send_poses, args=(run, endpoint, sender))
-        process.start()
-        assert receiver.recv() == "sending"
-        supervisor.control(run, endpoint, {"action": "resume"})
-        sent = np.array(receiver.recv())
-        process.join()
+        sent = np.array(sender.submit(send_poses, run, endpoint).result())
         ended = outcome()
         first, missing = arrivals.result()
     if ended.state != "done":
@@ -232,18 +226,18 @@ def measure() -> dict[str, float]:
     }
 
 
-def send_poses(run: str, endpoint: str, connection: Connection) -> None:
-    """Send poses whose heights encode their numbers, and then the times at which they were sent [s]."""
+def send_poses(run: str, endpoint: str) -> list[float]:
+    """Let a run go on, and send it poses whose heights encode their numbers; return when they were sent [s]."""
     with nuno.drive(run, BODY, connect=endpoint) as body:
         body.send((0.0, 0.0, 0.0))
-        connection.send("sending")
+        supervisor.control(run, endpoint, {"action": "resume"})
         start, sent = time.monotonic(), [time.monotonic()]
         for number in range(1, round(SECONDS * RATE)):
             due = start + number / RATE
             time.sleep(max(0.0, due - time.monotonic()))
             sent.append(time.monotonic())
             body.send((SWING * np.sin(2.0 * np.pi * number / RATE), height_of(number), 0.0))
-        connection.send(sent)
+        return sent
 
 
 def height_of(number: int) -> float:

@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -157,22 +157,15 @@ def _alone(run: str) -> Callable[[], tuple[int, float]]:
 
 def _client(server: Server) -> Watch:
     def watch(run: str) -> Callable[[], tuple[int, float]]:
-        receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-        arguments = (server.guard.port, server.guard.token, run, sender)
-        process = multiprocessing.get_context("spawn").Process(target=take_frames, args=arguments)
-        process.start()
-
-        def frames_taken() -> tuple[int, float]:
-            count, seconds = receiver.recv()
-            process.join()
-            return count, seconds
-
-        return frames_taken
+        client = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        taken = client.submit(take_frames, server.guard.port, server.guard.token, run)
+        client.shutdown(wait=False)  # it ends with the run
+        return taken.result
 
     return watch
 
 
-def take_frames(port: int, token: str, run: str, connection: Connection) -> None:
+def take_frames(port: int, token: str, run: str) -> tuple[int, float]:
     """Take every frame that a page would be given, no more often than a screen shows them; how many, and how long."""
     link, times = http.client.HTTPConnection("127.0.0.1", port, timeout=60.0), []
     known: dict[str, Any] = {"number": -1, "shape": -1, "place": -1, "state": "preparing"}
@@ -192,7 +185,7 @@ def take_frames(port: int, token: str, run: str, connection: Connection) -> None
         else:  # the run is not there yet, and the connection has ended with that
             link.close()
         time.sleep(max(0.0, due - time.monotonic()))
-    connection.send((len(times) - 1, times[-1] - times[0]) if times else (0, 0.0))
+    return (len(times) - 1, times[-1] - times[0]) if times else (0, 0.0)
 
 
 def _open(server: Server, page: Page) -> float:
