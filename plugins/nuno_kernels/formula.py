@@ -17,7 +17,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import types
 from numba.core.errors import NumbaError
 from numba.extending import overload
 
@@ -40,10 +39,11 @@ class Methods(dict[str, Any]):
 
 def formula(kind: T) -> T:
     """Compile a named tuple's method `distance(self, x, y, z)`, also `gradient` of that if it has one, or `limit(self,
-    phi, room)`. Raises TypeError for a class without them.
+    phi, room)`, also `least(self, phi)`, a lower bound in eight cells, and `root(self, total, ways, room)`, the x >= 0
+    with ways x + limit = total > 0, if it has them. Raises TypeError for a class without distance and limit.
     """
     methods = Methods({name: forced_inline(method) for name, method in vars(kind).items() if callable(method)
-                       and name in (*EVALUATED, "gradient")})  # fmt: skip
+                       and name in (*EVALUATED, "gradient", "least", "root")})  # fmt: skip
     if not methods.keys() & EVALUATED.keys():
         raise TypeError(f"{kind.__qualname__} has no {' and no '.join(EVALUATED)}, and so is no formula")
     by_reference(kind)
@@ -54,9 +54,18 @@ def formula(kind: T) -> T:
     return kind
 
 
-def is_formula(kind: types.Type) -> bool:
-    """Return whether numba's type is that of a formula."""
-    return isinstance(getattr(getattr(kind, "instance_class", None), "kernels", None), Methods)
+def method_or(name: str, other: Any) -> Any:
+    """Return a function for kernels whose first argument is a formula: its method of this name, or else `other`."""
+
+    def called(form: Any, *rest: Any) -> Any:
+        return other(form, *rest)
+
+    @overload(called, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
+    def typed(form: Any, *rest: Any) -> Any:
+        chosen = form.instance_class.kernels.get(name, other)
+        return lambda form, *rest: chosen(form, *rest)
+
+    return called
 
 
 def distance_of(form: Any, x: float, y: float, z: float) -> float:

@@ -7,9 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, PARTITION
 from nuno_dye.laws.diffusivity import Faces, face_values
-from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Langmuir, LangmuirConfig, Partition, PartitionConfig
+from nuno_dye.laws.isotherms import (
+    FREUNDLICH,
+    LANGMUIR,
+    PARTITION,
+    Freundlich,
+    FreundlichConfig,
+    Known,
+    Langmuir,
+    LangmuirConfig,
+    Partition,
+    PartitionConfig,
+)
 from nuno_dye.solvers.bands import make_bands, read_bands
 from nuno_dye.solvers.diffusion import diffuse
 from nuno_dye.solvers.explicit import ExplicitConfig
@@ -20,10 +30,10 @@ PLAIN = Tortuosity(layers=0.3, beside=0.2, rim=0.1, gap=0.9, yarn=0.8, weave=0.4
 
 
 ISOTHERMS = {
-    "nothing": (NOTHING, 0.0, 0.0),
-    "partition": (PARTITION, 0.7, 0.0),
-    "freundlich": (FREUNDLICH, 0.4, 0.35),
-    "langmuir": (LANGMUIR, 2.0, 0.0),
+    "nothing": None,
+    "partition": Known(PARTITION, 0.7, 0.0),
+    "freundlich": Known(FREUNDLICH, 0.4, 0.35),
+    "langmuir": Known(LANGMUIR, 2.0, 0.0),
 }
 Place = tuple[int, int, int]
 LAWS = {
@@ -88,7 +98,7 @@ def resisted(ny: int, nx: int) -> Cells:
 
 
 def limit(isotherm: str, phi: float, room: float) -> float:
-    _, k, b = ISOTHERMS[isotherm]
+    _, k, b = ISOTHERMS[isotherm] or (0, 0.0, 0.0)
     return {
         "nothing": 0.0,
         "partition": k * phi,

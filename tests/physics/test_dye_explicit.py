@@ -22,7 +22,7 @@ from dye_reference import (
     step_plainly,
 )
 
-from nuno_dye.laws.adsorption import NOTHING, Uptake
+from nuno_dye.laws.adsorption import Uptake
 from nuno_dye.laws.diffusivity import face_values, largest_sum
 from nuno_dye.laws.isotherms import Freundlich, FreundlichConfig, Partition, PartitionConfig
 from nuno_dye.solvers.bands import Cut, make_dye_bands, read_bands
@@ -73,9 +73,9 @@ def run(
     back: float = 1.0,
 ) -> tuple[Float, Float]:
     packed = make_dye_bands(phi, cells, face_values(cells), scale, bands, steepest)
-    kind, k, b = ISOTHERMS[isotherm]
+    law = ISOTHERMS[isotherm]
     bound, fibre = Cut(phi.shape, bands, 2 * LEVELS).fill(fixed, cells.fixed_room)
-    uptake = None if kind == NOTHING else Uptake(bound, fibre, kind, k, b, rate, back)
+    uptake = None if law is None else Uptake(bound, fibre, law, rate, back)
     dye(steps, packed, uptake, None, None, np.zeros(1, np.int64))
     return read_bands(packed, packed.phi, np.empty_like(phi)), read_bands(packed, bound, np.empty_like(phi))
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import NOTHING, Law, Uptake, adsorb, adsorb_both, law_in
+from nuno_dye.laws.adsorption import Law, Uptake, adsorb, adsorb_both, law_in
 from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers.diffusion import LEFT, Rows, renew_ghosts, slide
 from nuno_dye.solvers.solving import Upkeep, keep_both
@@ -100,11 +100,11 @@ def start_row(phi: Float, down: Float, across: Float, curve: Curve | None, scrat
 
 
 class Level(NamedTuple):
-    """A level of a pass at a row: the law of adsorption, the potential if D is not constant, the first row of its
-    scratch, the row's number, whether any cell may be emptied, and whether the row above steps.
+    """A level of a pass at a row: the law of adsorption if there is any, the potential if D is not constant, the first
+    row of its scratch, the row's number, whether any cell may be emptied, and whether the row above steps.
     """
 
-    law: Law
+    law: Law | None
     curve: Curve | None
     base: int
     row: int
@@ -129,11 +129,8 @@ def step_row(
         level_0, level_1 = potentials(here_0, curve), potentials(here_1, curve)
         right_0 = load(along, row, c) * (potentials(load(phi, row, c + 1), curve) - level_0)
         right_1 = load(along, other, c) * (potentials(load(phi, other, c + 1), curve) - level_1)
-        if law.kind == NOTHING:
-            below_0, below_1 = load(phi, row + 1, c), load(phi, other + 1, c)
-        else:
-            below_0 = adsorb(phi, fixed, fibre, row + 1, c, law)
-            below_1 = adsorb(phi, fixed, fibre, other + 1, c, law)
+        below_0 = adsorb(phi, fixed, fibre, row + 1, c, law)
+        below_1 = adsorb(phi, fixed, fibre, other + 1, c, law)
         down_0 = load(down, row, c) * (potentials(below_0, curve) - level_0)
         down_1 = load(down, other, c) * (potentials(below_1, curve) - level_1)
         through = load(across, row, c) * (level_1 - level_0)
@@ -182,7 +179,7 @@ def pass_over_dye(
     phi, along, down, across = bands.phi[n], bands.along[n], bands.down[n], bands.across[n]
     mobile, rolling, r, empties = bands.mobile[n], bands.rolling[n], bands.across.shape[1], bands.empties
     first, last, up, low = bands.first[n], bands.last[n], bands.shrinks[n, 0], bands.shrinks[n, 1]
-    fixed, fibre, law = phi, phi, law_in(uptake)
+    fixed, fibre, law = phi, phi, None if uptake is None else law_in(uptake)
     if uptake is not None:
         fixed, fibre = uptake.fixed[n], uptake.fibre[n]
     for at in range(first - 2 * up * (levels - 1) - 4, last + 2 * low * (levels - 1) + 2 * levels + 2):

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from nuno_dye.laws.adsorption import NOTHING, Uptake
+from nuno_dye.laws.adsorption import Uptake
 from nuno_dye.laws.diffusivity import curve_of, face_values, largest_sum
 from nuno_dye.solvers.bands import Cut, make_bands, make_dye_bands, read_bands
 from nuno_dye.solvers.diffusion import GHOST, Bands, diffuse
@@ -25,6 +25,7 @@ from nuno_dye.solvers.solving import (
     Banded,
     Derived,
     Upkeep,
+    adsorbs,
     count_bands,
     derive,
     largest_amounts,
@@ -109,8 +110,8 @@ def _uptake(work: ExplicitWork, k: int, cut: Cut, scale: float) -> Uptake | None
     """Return the fibre of one dye in a kernel's layout; None if the kernel does not fix it."""
     if cut.ghost not in work.fibre:
         work.fibre[cut.ghost] = cut.fill(work.derived.system.cells.fixed_room)[0]
-    law = law_of(work.derived.system.dyes[k], scale)
-    return None if law.kind == NOTHING else Uptake(np.empty(cut.shape), work.fibre[cut.ghost], *law)
+    one = work.derived.system.dyes[k]
+    return Uptake(np.empty(cut.shape), work.fibre[cut.ghost], *law_of(one, scale)) if adsorbs(one) else None
 
 
 def _advance_one(work: ExplicitWork, k: int, state: DyeState, steps: int, dt: float, highest: float) -> float:

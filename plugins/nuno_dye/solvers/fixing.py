@@ -13,16 +13,14 @@ from typing import Any
 
 from numba import prange
 
-from nuno_dye.laws.adsorption import FREUNDLICH, PARTITION, Law, Uptake, law_in, limited, or_own
+from nuno_dye.laws.adsorption import Law, Uptake, law_in, limited
 from nuno_dye.solvers.diffusion import LEFT, Rows
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.formula import limit_at
+from nuno_kernels.formula import limit_at, method_or
 from nuno_kernels.lanes import higher, lower, splat
 from nuno_schemas.fabric import Float
 
-ROUNDS = 60
-"""The most Newton steps; five or six suffice."""
-OWN_ROUNDS = 150
+ROUNDS = 150
 """The most steps to a formula's root: a third of them bisect, to the last bit."""
 
 
@@ -34,26 +32,26 @@ def taken_at(phi: Any, fixed: Any, room: Any, law: Law, pace: float) -> Any:
 
 
 @kernel
-def own_beside(law: Law, phi: float, room: float) -> float:
-    """Return a formula's limit at mobile dye phi."""
-    limit: float = limit_at(law.first, max(phi, 0.0), room)
+def limit_beside(law: Law, phi: float, room: float) -> float:
+    """Return A_d at mobile dye phi."""
+    limit: float = limit_at(law.isotherm, max(phi, 0.0), room)
     return limit
 
 
 @kernel
-def own_root(law: Law, total: float, ways: float, room: float) -> float:
-    """Return the x >= 0 with ways x + A_d(x) = total of a formula, total > 0.
+def find_root(isotherm: Any, total: float, ways: float, room: float) -> float:
+    """Return the x >= 0 with ways x + A_d(x) = total, total > 0.
 
     The left side rises, from 0 to at least the total at x = total / ways. Regula falsi finds where it crosses, with
     half the value of an end that stays twice (Illinois); every third step bisects, as A_d may begin at any slope.
     """
     low, high, below, side = 0.0, total / ways, -total, 0
-    above, x = own_beside(law, high, room), high
-    for turn in range(OWN_ROUNDS):
+    above, x = limit_at(isotherm, high, room), high
+    for turn in range(ROUNDS):
         if not above > 0.0 or high - low <= 1e-15 * high:
             break
         x = 0.5 * (low + high) if turn % 3 == 2 else low - below * (high - low) / (above - below)
-        value = ways * x + own_beside(law, x, room) - total
+        value = ways * x + limit_at(isotherm, x, room) - total
         if value < 0.0:
             low, below, above, side = x, value, above * (0.5 if side < 0 else 1.0), -1
         else:
@@ -61,44 +59,13 @@ def own_root(law: Law, total: float, ways: float, room: float) -> float:
     return x
 
 
-@kernel
-def own_within(law: Law, total: float, room: float) -> float:
-    """Return the A with A = A_d(S - A) of a formula."""
-    return total - own_root(law, total, 1.0, room) if total > 0.0 else 0.0
+root_of = method_or("root", find_root)
 
 
-@or_own(own_beside)
-@kernel
-def limit_beside(law: Law, phi: float, room: float) -> float:
-    """Return A_d at mobile dye phi."""
-    if law.kind == PARTITION:
-        return law.first * phi
-    if law.kind == FREUNDLICH:
-        power: float = phi**law.second
-        return law.first * power
-    return room * law.first * phi / (1.0 + law.first * phi)
-
-
-@or_own(own_within)
 @kernel
 def limit_within(law: Law, total: float, room: float) -> float:
     """Return the A with A = A_d(S - A)."""
-    first, second = law.first, law.second
-    if law.kind == PARTITION:
-        return first * total / (1.0 + first)
-    if law.kind == FREUNDLICH:
-        # phi + k phi^b = S is concave in phi: from below its root Newton's steps stay below it.
-        phi = min(0.5 * total, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total
-        for _ in range(ROUNDS):
-            bound = first * phi**second
-            step = (total - phi - bound) / (1.0 + second * bound / phi) if phi > 0.0 else 0.0
-            phi += step
-            if step <= 1e-16 * phi:
-                break
-        return total - phi
-    # K A^2 - (1 + K (S + V_d)) A + V_d K S = 0, the lesser root, without cancellation.
-    p = 1.0 + first * (total + room)
-    return 2.0 * room * first * total / (p + math.sqrt(max(p * p - 4.0 * first * first * room * total, 0.0)))
+    return limit_beside(law, root_of(law.isotherm, total, 1.0, room), room) if total > 0.0 else 0.0
 
 
 @kernel

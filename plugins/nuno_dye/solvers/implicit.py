@@ -23,12 +23,12 @@ import numpy as np
 from numba import prange
 from pydantic import BaseModel, Field
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, OWN, PARTITION, Law, Uptake, law_in, or_own
+from nuno_dye.laws.adsorption import Uptake, law_in
 from nuno_dye.laws.diffusivity import Curve, amount, potential, raise_levels
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows
-from nuno_dye.solvers.fixing import limit_beside, own_root
-from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor
+from nuno_dye.solvers.fixing import limit_beside, root_of
+from nuno_dye.solvers.long_steps import Dyed, Layout, LongSteps, Pair, apply_floor, face
 from nuno_dye.solvers.solving import sum_compensated
 from nuno_kernels import kernel, parallel_kernel
 from nuno_schemas.fabric import Float
@@ -46,8 +46,6 @@ from nuno_schemas.plugin import Config
 # within its limit fibre takes rho (phi - beta A)^+, beta being 1 or 0 (`back`), and it releases none. A grows with phi,
 # so that there is one root, and trying the pieces of A finds it.
 
-ROUNDS = 40
-"""The most Newton steps for Freundlich's limit; four or five suffice."""
 BENDS = 60
 """The most Newton steps if D falls with dye; one to eight suffice."""
 
@@ -60,29 +58,6 @@ def held_at(x: float, least: float, uptake: Uptake, at: int, c: int) -> float:
     limit = min(limit_beside(law_in(uptake), max(x, 0.0), capacity), capacity)
     held: float = max(least, min(limit, free))
     return held
-
-
-@or_own(own_root)
-@kernel
-def solve_limit(law: Law, total: float, ways: float, room: float) -> float:
-    """Return the x >= 0 with ways x + A_d(x) = total, total > 0."""
-    first, second = law.first, law.second
-    if law.kind == PARTITION:
-        return total / (ways + first)
-    if law.kind == FREUNDLICH:
-        # Concave in x: from below its root Newton's steps stay below it.
-        x = min(0.5 * total / ways, (0.5 * total / first) ** (1.0 / second)) if first > 0.0 else total / ways
-        for _ in range(ROUNDS):
-            bound = first * x**second
-            step = (total - ways * x - bound) / (ways + second * bound / x) if x > 0.0 else 0.0
-            x += step
-            if step <= 1e-15 * x:
-                break
-        return x
-    # ways K x^2 + (ways + K (V_d - S)) x - S = 0, the greater root, without cancellation.
-    p, q = ways + first * (room - total), 4.0 * ways * first * total
-    root = math.sqrt(p * p + q)
-    return 2.0 * total / (p + root) if p > 0.0 else (root - p) / (2.0 * ways * first)
 
 
 @kernel
@@ -107,7 +82,7 @@ def solve_cell(total: float, ways: float, least: float, uptake: Uptake | None, a
     x = (total - room) / ways
     if x > 0.0 and limit_beside(law, x, room) >= room:
         return x
-    return solve_limit(law, total, ways, room)
+    return float(root_of(law.isotherm, total, ways, room))
 
 
 @kernel
@@ -132,18 +107,12 @@ def solve_level(
     return level
 
 
-def remove_excess(law: Law, floor: Float, least: Float, fixed: Float, room: Float) -> float:
+def remove_excess(isotherm: Any, floor: Float, least: Float, fixed: Float, room: Float) -> float:
     """Remove from the fibre of maintained cells the dye that extrapolation put beyond its limit at the floor, in place.
     Return its amount, which the supply saves. Otherwise it would return from the fibre into a cell that is already at
     its floor, and raise it and its limit.
     """
-    first: Any = law.first
-    if law.kind == OWN:
-        limit = first.limit(floor, room)
-    else:
-        limit = first * (floor**law.second if law.kind == FREUNDLICH else floor)
-    if law.kind == LANGMUIR:
-        limit = room * limit / (1.0 + limit)
+    limit = isotherm.limit(floor, room)
     excess = np.where(floor > 0.0, np.maximum(fixed - np.maximum(least, np.minimum(limit, room)), 0.0), 0.0)
     fixed -= excess
     return sum_compensated(excess.reshape(-1))
@@ -242,16 +211,13 @@ def fill_cell(
     limit: float, stage: Stage, curve: Curve | None, uptake: Uptake | None, kept: bool, row: int, layer: int, c: int
 ) -> tuple[float, float, float]:
     """Return level, factor and inflow of a cell whose root without a factor is beyond its limit."""
-    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
-    r = across.shape[0]
-    at, other = row + layer * r, row + r - layer * r
+    r = stage.across.shape[0]
+    at = row + layer * r
     begun = stage.begun[at, c]
     inflow, outflow, ways = 0.0, 0.0, 0.0
-    for weight, i, k in (
-        (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
-        (down[at - 1, c], at - 1, c), (across[row, c], other, c),
-    ):  # fmt: skip
-        into, out, open_weight = flows_at(limit, weight, level[i, k], passed[i, k])
+    for side in range(5):
+        weight, i, k = face(stage, r, at, c, side)
+        into, out, open_weight = flows_at(limit, weight, stage.level[i, k], stage.passed[i, k])
         inflow, outflow, ways = inflow + into, outflow + out, ways + open_weight
     full = amount(limit, curve)
     taken = held_at(full, stage.least[at, c], uptake, at, c) - uptake.fixed[at, c] if uptake is not None else 0.0
@@ -390,16 +356,13 @@ def settle_row(
     layer: int, nx: int,
 ) -> None:  # fmt: skip
     """Compute mobile and fixed dye of one row of one layer from the fluxes of the solution."""
-    level, passed, along, down, across = stage.level, stage.passed, stage.along, stage.down, stage.across
-    r = across.shape[0]
-    at, other = row + layer * r, row + r - layer * r
+    level, passed, r = stage.level, stage.passed, stage.across.shape[0]
+    at = row + layer * r
     for c in range(LEFT, LEFT + nx):
         here, f = level[at, c], passed[at, c]
         inflow = 0.0
-        for weight, i, k in (
-            (along[at, c], at, c + 1), (along[at, c - 1], at, c - 1), (down[at, c], at + 1, c),
-            (down[at - 1, c], at - 1, c), (across[row, c], other, c),
-        ):  # fmt: skip
+        for side in range(5):
+            weight, i, k = face(stage, r, at, c, side)
             inflow += flow(weight, here, level[i, k], f, passed[i, k])
         taken = 0.0
         if uptake is not None:
@@ -479,8 +442,8 @@ class Implicit(LongSteps):
         begun = start[0] + share * (middle[0] - start[0]), start[1] + share * (middle[1] - start[1])
         dyed.supplied[-1] *= share
         if dyed.floor is not None and dyed.fixes:
-            law = solving.law_of(dyed.one, GAMMA * scale)
-            dyed.supplied[-1] -= remove_excess(law, dyed.floor, start[1], begun[1], layout.fibre)
+            isotherm = solving.law_of(dyed.one, scale).isotherm
+            dyed.supplied[-1] -= remove_excess(isotherm, dyed.floor, start[1], begun[1], layout.fibre)
         return self._stage(layout, dyed, start, begun, GAMMA * scale)
 
     def _stage(self, layout: Layout, dyed: Dyed, start: Pair, begun: Pair, scale: float) -> Pair | None:

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from nuno_dye.laws.adsorption import NOTHING
 from nuno_dye.laws.diffusivity import Curve, curve_of
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.bands import Cut
@@ -38,8 +37,10 @@ ROOM = 2.0**-20
 
 
 @kernel
-def face(weights: Weights, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
-    """Return the weight of a cell's face, and the row, (2 r, w), and column of the cell behind it."""
+def face(weights: Any, r: int, row: int, c: int, side: int) -> tuple[float, int, int]:
+    """Return the weight of a cell's face, and the row, (2 r, w), and column of the cell behind it; `weights` are of a
+    tuple with the fields of Weights.
+    """
     if side == 0:
         return weights.along[row, c], row, c + 1
     if side == 1:
@@ -237,7 +238,7 @@ class Dyed:
     @property
     def fixes(self) -> bool:
         """Whether a kernel fixes this dye."""
-        return solving.law_of(self.one, 1.0).kind != NOTHING
+        return solving.adsorbs(self.one)
 
 
 class LongSteps(solving.Banded):

@@ -20,7 +20,7 @@ import numpy as np
 from numba import prange
 from pydantic import BaseModel, Field
 
-from nuno_dye.laws.adsorption import NOTHING, Law, Uptake
+from nuno_dye.laws.adsorption import Law, Uptake
 from nuno_dye.laws.diffusivity import Curve, potentials
 from nuno_dye.solvers import solving
 from nuno_dye.solvers.diffusion import LEFT, Rows, Weights, slide
@@ -48,17 +48,15 @@ ROWS = 4 * SLOT
 class Rules(NamedTuple):
     """The limits of the cells in a step.
 
-    kind, first, second, rate, back  as in nuno_dye.laws.adsorption.Law
-    pace                       rate at which a cell approaches its capacity, and fibre its limit
-    kept                       whether any cell is maintained
+    isotherm, rate, back  as in nuno_dye.laws.adsorption.Law
+    pace                  rate at which a cell approaches its capacity, and fibre its limit
+    kept                  whether any cell is maintained
 
-    The loop tests `kind` and `kept`; arguments that may be None would make four kernels of each, of seven seconds'
+    The loop tests `rate` and `kept`; arguments that may be None would make four kernels of each, of seven seconds'
     compilation.
     """
 
-    kind: int
-    first: float
-    second: float
+    isotherm: Any
     rate: float
     back: float
     pace: float
@@ -130,8 +128,8 @@ def finish(
     rules, row, c, rate = stage.rules, cells.row, cells.c, cells.rate
     held, bite = row + 3 * fibre.shape[0], row + fibre.shape[0]
     taken = fixed = splat(0.0)
-    if rules.kind != NOTHING:
-        law = Law(rules.kind, rules.first, rules.second, rules.rate, rules.back)
+    if rules.rate > 0.0:
+        law = Law(rules.isotherm, rules.rate, rules.back)
         taken = taken_at(cells.phi, load(amounts, held + stage.here, c), load(fibre, row, c), law, rules.pace)
         rate = rate - taken
         fixed = advanced(amounts, slope, taken, held, bite, c, stage)
@@ -140,11 +138,11 @@ def finish(
     store(amounts, row + stage.into, c, result)
     if rules.kept:
         store(seen, row + stage.into, c, visible)
-    if rules.kind != NOTHING:
+    if rules.rate > 0.0:
         store(amounts, held + stage.into, c, fixed)
     if stage.first:
         store(slope, row, c, rate)
-        if rules.kind != NOTHING:
+        if rules.rate > 0.0:
             store(slope, bite, c, taken)
 
 
@@ -204,7 +202,7 @@ def open_row(
     a maintained cell; dye that fibre takes also frees capacity.
     """
     row, r, nothing = place.row, most.shape[0] // 2, splat(0.0)
-    law = Law(rules.kind, rules.first, rules.second, rules.rate, rules.back)
+    law = Law(rules.isotherm, rules.rate, rules.back)
     slot, above = place.slots + SLOT * (row % 4), place.slots + SLOT * ((row - 1) % 4)
     for layer in range(2):
         previous, at, sign = splat(0.0), row + layer * r, 1.0 - 2.0 * layer
@@ -223,7 +221,7 @@ def open_row(
             outflow = outflow - lower(other, nothing) * load(factors, other_factors, c)
             if rules.kept:
                 outflow = outflow - where_greater(load(floor, at, c), nothing, outflow)
-            if law.kind != NOTHING:
+            if law.rate > 0.0:
                 fixed, room = load(held, here, c), load(fibre, at, c)
                 outflow = outflow + taken_at(phi, fixed, room, law, rules.pace)
             share = (outflow + rules.pace * (load(most, at, c) - phi)) / inflow

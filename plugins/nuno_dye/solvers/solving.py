@@ -10,8 +10,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_dye.laws.adsorption import FREUNDLICH, LANGMUIR, NOTHING, OWN, PARTITION, Law
+from nuno_dye.laws.adsorption import Law
 from nuno_dye.laws.diffusivity import Faces, face_sums, face_values
+from nuno_dye.laws.isotherms import KINDS, PARTITION, Known, formula_of
 from nuno_kernels import kernel, threads_available
 from nuno_kernels.lanes import WIDTH, higher, load, store
 from nuno_schemas.dye import Dye, DyeReport, DyeState, DyeSystem
@@ -75,8 +76,8 @@ def keep_row(phi: Float, floor: Float, given: Float, lost: Float, start: int, ro
 
 # Data and reports that all dye solvers share.
 
-KINDS = {"partition": PARTITION, "freundlich": FREUNDLICH, "langmuir": LANGMUIR}
-"""Isotherms by kind; any other is a formula."""
+NONE = Known(PARTITION, 0.0, 0.0)
+"""The isotherm of a dye that fibre does not fix."""
 Status = Literal["ok", "diverged", "unconverged"]
 CELLS_PER_THREAD = 10_000
 """A pass over fewer takes some tens of microseconds, not much longer than waking a thread."""
@@ -142,13 +143,9 @@ def adsorbs(one: Dye) -> bool:
 
 
 def law_of(one: Dye, scale: float) -> Law:
-    """Return a dye's law for kernels, `scale` being D0 dt / d^2. Freundlich's isotherm with exponent 1 is partition."""
-    law = one.isotherm
-    if law is None or not adsorbs(one):
-        return Law(NOTHING, 0.0, 0.0, 0.0, 0.0)
-    kind = PARTITION if law.kind == "freundlich" and law.second == 1.0 else KINDS.get(law.kind, OWN)
-    first = law.first if law.law is None else law.law
-    return Law(kind, first, law.second, one.adsorption * scale, float(one.uptake == "difference"))
+    """Return a dye's law for kernels, `scale` being D0 dt / d^2."""
+    isotherm = NONE if one.isotherm is None else formula_of(one.isotherm)
+    return Law(isotherm, one.adsorption * scale if adsorbs(one) else 0.0, float(one.uptake == "difference"))
 
 
 def require_laws(system: DyeSystem) -> None:
