@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
+from energies import membrane_energy
 from hanging_sheets import hanging_drop, sunk
 from nets import accelerations, make_system, wind_force
 from triangle_sheets import KINDS, square
@@ -16,7 +17,7 @@ from triangle_sheets import KINDS, square
 from nuno.plugin_contract import registry
 from nuno.scene.files import SceneFiles
 from nuno.simulation.cloth import texture_size
-from nuno_cloth.fabrics.kes import elastic_energy, membrane_energy, minimise
+from nuno_cloth.fabrics.kes import elastic_energy, minimise
 from nuno_cloth.fabrics.material import Measured
 from nuno_cloth.fabrics.presets import PRESETS, Material
 from nuno_cloth.models.membrane import build_elements

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
+from energies import bending_energy
 from nets import make_system
 from triangle_sheets import KINDS, matrix, plate, square
 
 from nuno.simulation.cloth import join_fabrics
-from nuno_cloth.fabrics.kes import bending_energy
 from nuno_cloth.fabrics.presets import Material
 from nuno_cloth.models.bending import build_bending
 from nuno_cloth.models.triangles import yarn_axes
