@@ -13,8 +13,8 @@ from nuno_cloth.quantities import Reach
 from nuno_schemas.bodies import rotation_matrices
 from nuno_schemas.errors import BadInput, nearest
 from nuno_schemas.fabric import Binding, Fabric, Int, State
-from nuno_schemas.operation import Beside, Changed, Outcome, Surface
-from nuno_schemas.plugin import Config, Files
+from nuno_schemas.operation import Alteration, Beside, Changed, Holding, Outcome, Surface
+from nuno_schemas.plugin import Config
 from nuno_schemas.vectors import turn
 
 # Functions that `attach` and `release` share.
@@ -63,18 +63,11 @@ class ReleaseConfig(Config):
         return self
 
 
-class Release:
+class Release(Alteration):
     """Releases vertices, which keep the velocity of their body. A refused operation changes nothing."""
 
     name: ClassVar[str] = "release"
     Config: ClassVar[type[BaseModel]] = ReleaseConfig
-
-    def compile(self) -> None:
-        """Do nothing: there is nothing to compile."""
-
-    def resolve(self, config: ReleaseConfig, files: Files) -> ReleaseConfig:
-        """Return the configuration unchanged: it names no files."""
-        return config
 
     def apply(self, config: ReleaseConfig, fabric: Fabric, state: State, skin: Surface | None) -> Outcome:
         """Return the fabric with these vertices free. Raises BadInput for a body that carries none, and for vertices
@@ -123,18 +116,11 @@ class AttachConfig(Config):
     vertices: tuple[VertexNumber, ...] | None = Field(default=None, description=VERTICES)
 
 
-class Attach:
+class Attach(Holding):
     """Binds vertices at their present places in a body's frame. A refused operation changes nothing."""
 
     name: ClassVar[str] = "attach"
     Config: ClassVar[type[BaseModel]] = AttachConfig
-
-    def compile(self) -> None:
-        """Do nothing: there is nothing to compile."""
-
-    def resolve(self, config: AttachConfig, files: Files) -> AttachConfig:
-        """Return the configuration unchanged: it names no files."""
-        return config
 
     def body(self, config: AttachConfig) -> str:
         """Return the name of the body that takes hold."""

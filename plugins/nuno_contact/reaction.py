@@ -21,18 +21,6 @@ def auto_stiffness(fabric: Fabric, gravity: Float, rest: float, stop: float, sha
     springs are that soft, the depth at rest [m] still holds; gravity may be zero, since the other two terms do not need
     it. A vertex without springs is stopped at w0.
     """
-    weight = fabric.mass * float(norm(gravity)) / rest
-    return np.maximum(weight, np.minimum(fabric.mass * (STOP_SPEED / stop) ** 2, share * elastic_stiffness(fabric)))
-
-
-def elastic_stiffness(fabric: Fabric) -> Float:
-    """Return the sum of the stiffness of each vertex' springs and triangles (n,) [N/m], infinite if it has none."""
-    total = np.zeros(fabric.number)
-    if fabric.springs is not None:
-        pairs, k = fabric.springs.pairs(), fabric.springs.per_spring(fabric.springs.k)
-        for end in (0, 1):
-            np.add.at(total, pairs[:, end], k)
-    if fabric.membrane is not None:
-        np.add.at(total, fabric.membrane.faces, fabric.membrane.stiffness())
-    total[total == 0.0] = np.inf
-    return total
+    weight, elastic = fabric.mass * float(norm(gravity)) / rest, fabric.stiffness()
+    elastic = share * np.where(elastic == 0.0, np.inf, elastic)
+    return np.maximum(weight, np.minimum(fabric.mass * (STOP_SPEED / stop) ** 2, elastic))

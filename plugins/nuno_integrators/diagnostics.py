@@ -16,6 +16,7 @@ from nuno_kernels.terms import call_each, kernels_of
 from nuno_schemas.bodies import Poses
 from nuno_schemas.fabric import Bool, Fabric, Float, Membrane, State
 from nuno_schemas.system import Forces, System, Touched
+from nuno_schemas.vectors import norm
 
 # The forces on every vertex in one state, by kind: for analysis after a run, not for steps.
 
@@ -259,19 +260,14 @@ def pulls_of_membrane(membrane: Membrane, x: Float) -> Float:
     """Return the size of the force [N] that each triangle has on each corner at x (n, 3) [m], shape (t, 3)."""
     shares, corners = membrane.shares(), x[membrane.faces]
     warp, weft = (sum(share[:, k, None] * corners[:, k] for k in range(3)) for share in shares)
-    long, wide = size(warp), size(weft)
+    long, wide = norm(warp), norm(weft)
     c_w, c_f, both, g = membrane.area * membrane.moduli
     along, across = c_w * (long - 1.0) + both * (wide - 1.0), c_f * (wide - 1.0) + both * (long - 1.0)
     shear = g * (warp[:, 0] * weft[:, 0] + warp[:, 1] * weft[:, 1] + warp[:, 2] * weft[:, 2])
     on_warp = (along / np.maximum(long, TINY))[:, None] * warp + shear[:, None] * weft
     on_weft = (across / np.maximum(wide, TINY))[:, None] * weft + shear[:, None] * warp
     forces = [shares[0, :, k, None] * on_warp + shares[1, :, k, None] * on_weft for k in range(3)]
-    return np.stack([size(force) for force in forces], axis=1)
-
-
-def size(a: Float) -> Float:
-    """Return the lengths (n,) of vectors (n, 3), by sums in one order on every machine."""
-    return np.asarray(np.sqrt(a[:, 0] * a[:, 0] + a[:, 1] * a[:, 1] + a[:, 2] * a[:, 2]))
+    return np.stack([norm(force) for force in forces], axis=1)
 
 
 def unbalance(fabric: Fabric, x: Float, v: Float, left: Float) -> Float:
@@ -286,13 +282,7 @@ def unbalance(fabric: Fabric, x: Float, v: Float, left: Float) -> Float:
     scale = typical_tension(fabric, x)
     if scale == 0.0:
         return np.where(fabric.pinned, 0.0, np.inf)
-    stiffness = np.zeros(fabric.number)
-    if fabric.springs is not None:
-        k = fabric.springs.per_spring(fabric.springs.k)
-        stiffness += sum(np.bincount(end, k, fabric.number) for end in fabric.springs.pairs().T)
-    if fabric.membrane is not None:
-        corners, k = fabric.membrane.faces, fabric.membrane.stiffness()
-        stiffness += np.bincount(corners.reshape(-1), k.reshape(-1), fabric.number)
+    stiffness = fabric.stiffness()
     for axis in range(3):
         far += left[:, axis] ** 2 + fabric.mass * stiffness * v[:, axis] ** 2
     return np.where(fabric.pinned, 0.0, np.sqrt(far) / scale)

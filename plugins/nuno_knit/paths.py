@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
+from nuno_schemas.operation import first_of_pieces
 from nuno_schemas.vectors import unit_rows
 
 # Yarns as rows of points, from one end to the other.
@@ -37,9 +38,7 @@ class Paths:
     @property
     def steps(self) -> NDArray[np.int64]:
         """Places (s,) in `vertex` from which a link leads to the next."""
-        last = np.zeros(len(self.vertex), bool)
-        last[self.ptr[1:] - 1] = True
-        return np.flatnonzero(~last)
+        return first_of_pieces(self.ptr)
 
     @property
     def pairs(self) -> Int:

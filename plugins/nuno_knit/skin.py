@@ -13,6 +13,7 @@ from nuno_geometry.normals import blend_normals, face_normals
 from nuno_geometry.sections import Joined, join_faces
 from nuno_geometry.tree import Tree, build_tree
 from nuno_schemas.fabric import Float, Int
+from nuno_schemas.operation import first_of_pieces
 from nuno_schemas.vectors import unit_rows
 
 CHUNK = 1 << 16
@@ -68,9 +69,7 @@ class Skin:
         """Return the number of checked places of polylines, `samples` (at least two) of every piece with both its ends,
         and the depth of the deepest in the skin [m], negative outside. `face` (n,) are faces near the points.
         """
-        last = np.zeros(len(points), bool)
-        last[ptr[1:] - 1] = True
-        first = np.flatnonzero(~last)
+        last, first = ptr[1:] - 1, first_of_pieces(ptr)
         share = np.linspace(0.0, 1.0, samples)[:-1, None]
         depth = -float(closest_points(self.tree, points[last], face[last]).distance.min(initial=np.inf))
         for at in range(0, len(first), CHUNK):

@@ -21,7 +21,7 @@ from nuno_knit.repair import CHECKED, Repaired, YarnConfig, count_links, measure
 from nuno_knit.skin import Skin
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int, State
-from nuno_schemas.operation import Outcome, Surface, YarnCurves
+from nuno_schemas.operation import Outcome, Surface, YarnCurves, first_of_pieces
 from nuno_schemas.vectors import unit_rows
 
 # Centripetal Catmull-Rom curves through points.
@@ -202,10 +202,9 @@ def keep_off(
     (m,). A piece whose ends are that high above the plane of one face cannot dip: the height is linear along it.
     """
     points, face = skin.raise_to(points, np.full(len(points), radius), near)
-    last = np.zeros(len(points), bool)
-    last[ptr[1:] - 1] = True
+    first = first_of_pieces(ptr)
     low = np.einsum("ni,ni->n", points - skin.vertices[skin.faces[face, 0]], skin.facing[face]) < radius - tolerance
-    doubtful = np.flatnonzero(~last[:-1] & ((face[1:] != face[:-1]) | low[1:] | low[:-1]))
+    doubtful = first[(face[first + 1] != face[first]) | low[first + 1] | low[first]]
     share = (np.arange(INNER) + 1.0) / (INNER + 1.0)
     for _ in range(DIVISIONS):
         a, b = points[doubtful][:, None], points[doubtful + 1][:, None]

@@ -146,12 +146,7 @@ def most_stiffness(x: Float, quads: Int, cloth: Fabric) -> Float:
     max sum_j k_j / m_i (Gershgorin); triangles of a membrane count as they do. Slivers as stiff as the rest would halve
     the step without raising the wrinkle.
     """
-    free, mass, row = ~cloth.pinned, cloth.mass, np.zeros(cloth.number)
-    if (springs := cloth.springs) is not None:
-        for end in springs.pairs().T:
-            row += np.bincount(end, springs.per_spring(springs.k), len(mass))
-    if (membrane := cloth.membrane) is not None:
-        row += np.bincount(membrane.faces.reshape(-1), membrane.stiffness().reshape(-1), len(mass))
+    free, mass, row = ~cloth.pinned, cloth.mass, cloth.stiffness()
     edge = x[quads[:, 1]] - x[quads[:, 0]]
     square = np.einsum("hk,hk->h", edge, edge)
     slope, lever = np.zeros(len(quads)), np.zeros((2, len(quads)))

@@ -497,6 +497,15 @@ class Fabric:
             return self.corners
         return Corners(self.uv, np.arange(self.number, dtype=np.int32), self.faces)
 
+    def stiffness(self) -> Float:
+        """Return the sum of the stiffness of each vertex's springs and triangles (n,) [N/m]."""
+        at, k = [np.empty(0, np.int32)], [np.empty(0)]
+        if self.springs is not None:
+            at, k = list(self.springs.pairs().T), 2 * [self.springs.per_spring(self.springs.k)]
+        if self.membrane is not None:
+            at, k = [*at, self.membrane.faces.reshape(-1)], [*k, self.membrane.stiffness().reshape(-1)]
+        return np.bincount(np.concatenate(at), np.concatenate(k), self.number).astype(np.float64)
+
     @property
     def bears_tension(self) -> bool:
         """Whether it has any springs or triangles of a membrane."""

@@ -15,6 +15,11 @@ from nuno_schemas.plugin import Files, Plugin
 # Yarns as curves: made from a knit's links, drawn in pictures.
 
 
+def first_of_pieces(ptr: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the points (s,) at which pieces of polylines begin; polyline y is points ptr[y]:ptr[y + 1]."""
+    return np.delete(np.arange(ptr[-1]), ptr[1:][np.diff(ptr) > 0] - 1)
+
+
 @dataclass(frozen=True)
 class YarnCurves:
     """Yarns as polylines of round cross section, on skin or free.
@@ -41,9 +46,7 @@ class YarnCurves:
 
     def segments(self) -> NDArray[np.int64]:
         """Return the first point of every segment, shape (s,)."""
-        last = np.zeros(len(self.points), bool)
-        last[self.ptr[1:][np.diff(self.ptr) > 0] - 1] = True
-        return np.flatnonzero(~last)
+        return first_of_pieces(self.ptr)
 
     def yarn(self) -> NDArray[np.int64]:
         """Return the yarn of each point, shape (n,)."""
@@ -140,13 +143,12 @@ class Alteration(Operation, Protocol):
     refused before it starts.
     """
 
-    def compile(self) -> None:
+    def compile(self) -> None:  # none by default
         """Compile what `apply` needs, so that a run does not wait for it."""
-        ...
 
     def resolve(self, config: Any, files: Files) -> Any:
         """Return the configuration with the names of files replaced by their content. Raises BadInput."""
-        ...
+        return config
 
 
 class Holding(Alteration, Protocol):

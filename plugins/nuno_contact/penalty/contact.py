@@ -314,8 +314,6 @@ def commit_body(
     return touching
 
 
-__all__ = ["Contact", "add_contact", "commit_contact", "count_contacts", "make_contact", "set_poses"]
-
 BLOCK = 256
 """vertices handled together, about a ring or two of a skirt: 64 have tighter bounds, but a block's overhead then takes
 a third of the time"""

@@ -5,7 +5,7 @@ matrix.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,11 +49,6 @@ from nuno_kernels.lanes import (
 )
 from nuno_kernels.step.blocks import BLOCK, Long
 from nuno_schemas.fabric import Float, Int
-
-if TYPE_CHECKING:
-    from nuno_kernels.forces.hinges import HingeRuns
-    from nuno_kernels.forces.springs import SpringRuns
-
 
 # The layout of the rows of linear springs and hinges.
 
