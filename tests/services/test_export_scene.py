@@ -90,7 +90,7 @@ def test_the_studio_exports_the_scene_of_a_recording_that_replaces_another(
     """With another file of the same name."""
 
     def child(words: list[str]) -> SimpleNamespace:
-        return SimpleNamespace(code=main(words), said="")
+        return SimpleNamespace(code=main(words), said="", end=lambda: None)
 
     monkeypatch.setattr("nuno.studio.desk.Child", child)
     exports = Exports(SimpleNamespace(find=lambda name: recording.absolute()))  # type: ignore[arg-type]
