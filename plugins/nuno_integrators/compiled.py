@@ -125,7 +125,7 @@ class StepResult:
 
 
 class Compiled(ABC):
-    """An integrator whose steps are compiled for just the forces of a system."""
+    """An integrator by compiled steps."""
 
     name: ClassVar[str]
     Config: ClassVar[type[BaseModel]]

@@ -96,8 +96,9 @@ def _with_bodies(system: System, packed: Packed) -> list[tuple[Any, tuple[str, .
 
 def _only(bare: Packed, term: Any, alone: Any) -> Packed:
     """Return the system, of the same types, in which only one term acts, replaced by `alone`."""
-    forces, bodies = (tuple(alone if one is term else one for one in terms) for terms in (bare.forces, bare.bodies))
-    on = [np.array([one is term for one in terms], np.bool_) for terms in (bare.forces, bare.bodies)]
+    both = bare.forces, bare.bodies
+    forces, bodies = (terms.again(alone if one is term else one for one in terms) for terms in both)
+    on = [np.array([one is term for one in terms], np.bool_) for terms in both]
     return bare._replace(forces=forces, forces_on=on[0], bodies=bodies, bodies_on=on[1])
 
 

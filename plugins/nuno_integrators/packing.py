@@ -13,8 +13,8 @@ from nuno_kernels.forces.hinges import pack_hinges
 from nuno_kernels.forces.membrane import pack_membrane
 from nuno_kernels.forces.python import make_forces
 from nuno_kernels.forces.springs import pack_springs
-from nuno_kernels.step.acceleration import Packed
-from nuno_kernels.terms import Kernels, kernels_of
+from nuno_kernels.step.acceleration import OF_BODIES, Packed
+from nuno_kernels.terms import Kernels, Terms, kernels_of
 from nuno_schemas.fabric import Bool, Fabric, Float
 from nuno_schemas.system import System
 
@@ -67,9 +67,9 @@ def pack(system: System, copy: bool = True) -> Packed:
         inverse_mass=np.divide(1.0, fabric.mass, out=np.zeros(fabric.number), where=~fabric.pinned),
         gravity=np.array(system.gravity, np.float64),
         damping=float(system.damping),
-        forces=forces,
+        forces=Terms(forces, ("block",)),
         forces_on=np.ones(len(forces), np.bool_),
-        bodies=bodies,
+        bodies=Terms(bodies, OF_BODIES, ("threads",) if threads > 1 else ()),
         bodies_on=np.ones(len(bodies), np.bool_),
         threads=threads if threads > 1 else None,
         late=True if adds else None,
@@ -85,8 +85,8 @@ def copy_terms(packed: Packed) -> Packed:
     stays one term: what it finds in one role it reads in the other. A term that only adds to forces writes nothing.
     """
     copies = {id(term): copy_term(term) for term in packed.bodies}
-    forces, bodies = (tuple(copies.get(id(term), term) for term in terms) for terms in (packed.forces, packed.bodies))
-    return packed._replace(forces=forces, bodies=bodies)
+    forces = packed.forces.again(copies.get(id(term), term) for term in packed.forces)
+    return packed._replace(forces=forces, bodies=packed.bodies.again(copies[id(term)] for term in packed.bodies))
 
 
 def hold_over(packed: Packed) -> Packed:
@@ -95,7 +95,7 @@ def hold_over(packed: Packed) -> Packed:
     for key, term in terms.items():
         hold = kernels_of(term).find("hold_over")
         terms[key] = term if hold is None else hold(term, packed.inverse_mass)
-    forces, bodies = (tuple(terms[id(term)] for term in part) for part in (packed.forces, packed.bodies))
+    forces, bodies = (part.again(terms[id(term)] for term in part) for part in (packed.forces, packed.bodies))
     return packed._replace(forces=forces, bodies=bodies)
 
 

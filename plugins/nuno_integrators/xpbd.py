@@ -32,7 +32,7 @@ from nuno_kernels import block_kernel, kernel, shared_source
 from nuno_kernels.forces.constraints import Constraints, clear, forget, pack_constraints, sweep
 from nuno_kernels.step.acceleration import Packed, commit, evaluate
 from nuno_kernels.step.blocks import BLOCK
-from nuno_kernels.terms import Displaced, call_each, each, kernels_of, over_blocks
+from nuno_kernels.terms import Displaced, Terms, call_each, each, kernels_of, over_blocks
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config
@@ -200,6 +200,9 @@ class XPBD(Compiled):
             solved = (kernels_of(term).name for term in packed.forces if "constraints" in kernels_of(term))
             others = silence_bodies(silence(packed, *solved))._replace(damping=0.0)
         held = np.zeros((3, n)) if repeated and any("project" in kernels_of(term) for term in packed.bodies) else None
+        roles, given = packed.bodies.roles, packed.bodies.given
+        given = given if held is None else (*given, "held")
+        packed = packed._replace(bodies=Terms(packed.bodies, (*roles, "carry", "project"), given))
         own = Swept(others, pack_constraints(packed, repeated), np.empty((1, n)), held, config.iterations)
         return XPBDWork(packed, np.empty((4, 3, n)), own, np.zeros(1))
 

@@ -1,30 +1,32 @@
 """Forces on cloth as typed terms: a NamedTuple of arrays, and the compiled functions that go with its type.
 
-A system holds tuples of terms. numba compiles a step for just the types in them: `each` makes a function over such a
-tuple that calls, term by term, the kernel that the term's type has for a role, and nothing for types without it. A
-type's kernels are given once, where they are defined, by `register`; nothing lists the types.
+A system holds tuples of terms, with a table of the addresses of their kernels: `each` makes a function that walks it
+and calls, term by term, the kernel that the term's type has for a role, and nothing for types without it. A type's
+kernels are given once, where they are defined, by `register`; nothing lists the types. They are compiled for the type
+alone, and steps for no type at all (nuno_kernels.compilation.table).
 
-A term in the tuple can be switched off without another type, so that nothing is compiled anew: a mask goes with the
-tuple, and each call asks it once. Not chosen: `literal_unroll`, which compiles a loop's body once for every type with
-all that surrounds it; recursion over the tuple, whose every level is optimised once more with all that it calls.
+A mask goes with the terms, by which one can be switched off.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from inspect import signature
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import numba
-from numba import prange, types
-from numba.extending import overload
+from numba import prange, typeof, types
+from numba.extending import intrinsic, overload, typeof_impl
 
 from nuno_kernels import FLAGS
-from nuno_kernels.compilation.internals import by_address
+from nuno_kernels.compilation.internals import address_of, by_address
 from nuno_kernels.compilation.reference import by_reference
+from nuno_kernels.compilation.table import NOTHING, TABLE, UNKNOWN, call_by_table, table_of
+from nuno_kernels.compilation.workers import compile_all
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.layout import Bounds
@@ -181,6 +183,55 @@ def kernels_of(term: Any) -> Kernels:
     return kernels
 
 
+class Terms(tuple[Any, ...]):
+    """Terms as compiled steps call them."""
+
+    roles: Sequence[str]
+    """those in which steps call them"""
+    given: Collection[str]
+    """those of VARIANTS that are not None"""
+    rows: Sequence[Any]
+    """of each term the rows of its matrix, which `linear` roles take after the term, or None"""
+
+    def __new__(
+        cls, terms: Iterable[Any] = (), roles: Sequence[str] = (), given: Collection[str] = (),
+        rows: Sequence[Any] | None = None,
+    ) -> Terms:  # fmt: skip
+        self = super().__new__(cls, terms)
+        self.roles, self.given, self.rows = roles, given, rows or (None,) * len(self)
+        return self
+
+    def again(self, terms: Iterable[Any]) -> Terms:
+        """Return other terms in the same roles."""
+        return Terms(terms, self.roles, self.given, self.rows)
+
+    @cached_property
+    def address(self) -> int:
+        """The address of the table. It compiles what is called, and raises what that raises."""
+        pairs = zip(self, self.rows, strict=True)
+        typed = [[(typeof(one), one) for one in pair if one is not None] for pair in pairs]
+        variants = {role: sum(VARIANTS[one] for one in self.given if one in CALLS[role]) for role in self.roles}
+        calls = dict[tuple[int, int], tuple[Any, tuple[Any, ...]]]()
+        addresses = [[UNKNOWN] * len(PLACES) for _ in self]
+        for k, term in enumerate(self):
+            for (role, variant), place in PLACES.items():
+                if (kernel := kernels_of(term).find(role)) is None:
+                    addresses[k][place] = NOTHING
+                elif variants.get(role) == variant:
+                    taken = (*(kind for kind, _ in typed[k]), *_types_of(role, variant))
+                    calls[k, place] = by_address(kernel), taken[: len(parameters_of(kernel))]
+        compile_all(list(calls.values()))
+        for (k, place), call in calls.items():
+            addresses[k][place] = address_of(*call)
+        self._memory = table_of(typed, addresses)
+        return int(self._memory[0].ctypes.data)
+
+
+@typeof_impl.register(Terms)  # type: ignore[untyped-decorator]
+def _table(value: Terms, context: Any) -> Any:
+    return TABLE
+
+
 def call_each(packed: Any, role: str, *args: Any) -> list[Any]:
     """Return the results of a role of all acting terms of a packed system that have it, in order."""
     terms = zip((*packed.forces, *packed.bodies), (*packed.forces_on, *packed.bodies_on), strict=True)
@@ -188,6 +239,27 @@ def call_each(packed: Any, role: str, *args: Any) -> list[Any]:
     calls = [(kernels_of(term).find(role), term) for term in acting.values()]
     return [call(term, *args) for call, term in calls if call is not None]
 
+
+ROWS = types.Array(types.float64, 2, "C")
+TYPES: Mapping[str, Any] = {
+    **dict.fromkeys(("block", "origin", "batch", "threads"), types.int64),
+    **dict.fromkeys(("t", "s", "rate", "floor", "follow"), types.float64),
+    **dict.fromkeys(("x", "v", "force", "a", "change", "before", "u", "out", "held"), ROWS),
+    "on": types.Array(types.boolean, 1, "C"),
+    "moved": types.NamedTuple([ROWS] * 5 + [types.float64], Displaced),
+}
+"""types of the parameters of compiled roles"""
+VARIANTS = {"threads": 1, "held": 2}
+"""parameters that may be None instead: kernels are compiled for that"""
+ROLES = (
+    "block", "place", "look", "after", "settle", "hold", "slow", "credit", "carry", "project", "fill", "diagonal",
+    "multiply", "sweep", "forget",
+)  # fmt: skip
+"""compiled roles that steps call"""
+PLACES = {(role, variant): 4 * k + variant for k, role in enumerate(ROLES) for variant in range(4)}
+"""places of their addresses in a table"""
+CALLS: dict[str, list[str]] = {}
+"""parameters that steps call them with"""
 
 COMPILED = '    raise TypeError("only compiled code can call this: wrap it in a kernel")'
 """Body of functions that numba replaces in compiled code. Interpreted, as with a force written in Python, it raises."""
@@ -205,24 +277,28 @@ def define(name: str, parameters: str, body: str, **scope: Any) -> Any:
 
 
 def each(role: str, parameters: str, linear: bool = False) -> Any:
-    """Return a function f(terms, on, <parameters>) for kernels, which calls all terms' kernels of a role, in
-    order, each with as many of the parameters as it has.
-
-    `linear` ones take (terms, on, rows, <parameters>), and each kernel its term's rows after the term.
+    """Return a function f(terms, on, <parameters>) for kernels, which calls all acting terms' kernels of a compiled
+    role, in order, each with as many of the parameters as it has; `linear` ones after the rows of its matrix, too.
     """
-    head = f"terms, on, rows, {parameters}" if linear else f"terms, on, {parameters}"
+    CALLS[role] = parameters.split(", ") if parameters else []
+    given = f", {parameters}" if parameters else ""
+    typed = call_by_table(lambda kinds: _call_of(role, kinds), len(PLACES), linear)
+    call = intrinsic(define("call", f"typing, terms, k{given}", f"    return typed({parameters})", typed=typed))
+    body = f"    for k in range(len(terms)):\n        if on[k]:\n            call(terms, k{given})"
+    walk = define("walk", f"terms, on{given}", body, call=call)
+    return numba.njit(forceinline=True, **FLAGS)(walk)
 
-    def build(terms: Any) -> Any:
-        kernels, body = dict[str, Any](), ""
-        for k, kind in enumerate(terms.types):
-            kernel = kind.instance_class.kernels.find(role)
-            if kernel is not None:
-                given = [f"terms[{k}]", *([f"rows[{k}]"] if linear else []), *parameters.split(", ")]
-                body += f"    if on[{k}]:\n        kernel{k}({', '.join(given[: len(parameters_of(kernel))])})\n"
-                kernels[f"kernel{k}"] = by_address(kernel)
-        return define("each", head, body, **kernels)
 
-    return overloaded(head, build)
+def _call_of(role: str, given: Sequence[Any]) -> tuple[int, list[Any]]:
+    """Return the place in a table of the kernel that a role calls with these types, and the types that it takes."""
+    named = zip(CALLS[role], given, strict=True)
+    variant = sum(VARIANTS[name] for name, kind in named if name in VARIANTS and not isinstance(kind, types.NoneType))
+    return PLACES[role, variant], _types_of(role, variant)
+
+
+def _types_of(role: str, variant: int) -> list[Any]:
+    """Return the types of a role's parameters."""
+    return [types.none if name in VARIANTS and not variant & VARIANTS[name] else TYPES[name] for name in CALLS[role]]
 
 
 def over_blocks(one: Any, parameters: str, worth: int = 0, order: str = "block") -> Any:

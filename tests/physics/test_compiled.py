@@ -17,17 +17,22 @@ import numba
 import numpy as np
 import psutil
 import pytest
+from nets import make_fabric, make_system
 from numba.core import event
 from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
 import nuno_kernels  # noqa: F401
+from nuno_integrators.explicit.fixed_step import ROOM, advance_symplectic_euler
+from nuno_integrators.packing import pack
 from nuno_kernels import FLAGS, block_kernel, kernel
 from nuno_kernels.compilation import internals
 from nuno_kernels.compilation.internals import CHECKSUM, Borrowing, keep
 from nuno_kernels.compilation.reference import by_reference
-from nuno_kernels.terms import over_blocks
-from nuno_schemas.fabric import Float
+from nuno_kernels.step.acceleration import add_blocks, evaluate, hold
+from nuno_kernels.terms import Terms, over_blocks, register
+from nuno_schemas.fabric import Float, Int
+from nuno_schemas.system import Term
 
 
 def twice(x: float) -> float:
@@ -467,6 +472,75 @@ def test_by_reference_is_one_argument() -> None:
         library = made.library.get_function(made.fndesc.llvm_func_name)
         arguments[kind] = len(list(library.arguments))
     assert arguments[Pair] - arguments[Lent] == 13
+
+
+class Mixed(NamedTuple):
+    """Fields of every size, so that some do not follow each other in memory."""
+
+    on: bool
+    small: np.int32
+    rate: float
+    off: bool
+    table: Int
+    none: None
+    inner: Pair
+    deep: tuple[bool, Float, np.float32]
+    last: bool
+
+
+@kernel
+def add_mixed(term: Mixed, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    if term.on and not term.off and term.last and term.deep[0] and term.none is None:
+        force[0, 0] += term.rate * term.small + term.table[1, 1] + term.deep[2]
+        force[1, 0] += term.inner.first[-1] + term.inner.second.sum()
+        force[2, 0] += term.deep[1][1, 0, 2] + term.table.shape[1] + origin
+
+
+register(Mixed, name="mixed", block=add_mixed)
+
+
+@kernel
+def add_all(terms: Terms, on: Any, x: Float, force: Float, t: float) -> None:
+    add_blocks(terms, on, 0, 7, x, x, force, t)
+
+
+@kernel
+def hold_all(terms: Terms, on: Any, x: Float, threads: int | None) -> None:
+    hold(terms, on, x, x, 0.0, threads)
+
+
+def mixed(rate: float = 0.5) -> Mixed:
+    inner, deep = Pair(np.arange(3.0), np.arange(5.0)), (True, np.arange(24.0).reshape(2, 3, 4), np.float32(0.25))
+    table = np.arange(12, dtype=np.int32).reshape(3, 4)[:, ::2]  # as views have it
+    return Mixed(True, np.int32(3), rate, False, table, None, inner, deep, True)
+
+
+def test_by_a_table_all_of_a_term_is_there() -> None:
+    """Of each that acts, wherever its fields lie."""
+    terms, x = Terms([mixed(), mixed(2.0), mixed(8.0)], ("block",)), np.zeros((3, 1))
+    term, force = terms[0], np.zeros((3, 1))
+    add_all(terms, np.array([True, False, True]), x, force, 0.0)
+    once = [term.table[1, 1] + 0.25, 2.0 + 10.0, term.deep[1][1, 0, 2] + 2 + 7]
+    np.testing.assert_array_equal(force[:, 0], 2.0 * np.array(once) + [8.5 * 3, 0.0, 0.0])
+
+
+def test_a_role_that_terms_were_not_made_for_is_an_error_and_one_that_they_lack_is_none() -> None:
+    x, force, on = np.zeros((3, 1)), np.zeros((3, 1)), np.ones(1, np.bool_)
+    with pytest.raises(RuntimeError):
+        add_all(Terms([mixed()], ("hold",)), on, x, force, 0.0)
+    hold_all(Terms([mixed()], ()), on, x, None)
+    assert not force.any()
+
+
+def test_terms_of_other_types_compile_no_step_anew() -> None:
+    """Nor does another number of them."""
+    x, v = np.zeros((2, 3, 1))
+    compiled = set[tuple[int, int]]()
+    for number in range(3):
+        packed = pack(make_system(make_fabric(x.T, mass=1.0), terms=(Term("mixed", (mixed(),) * number),)))
+        advance_symplectic_euler(x, v, np.empty((ROOM, 3, 1)), 1, 0.1, packed)
+        compiled.add((len(advance_symplectic_euler.overloads), len(evaluate.by_address().overloads)))
+    assert len(compiled) == 1
 
 
 def taking_apart(arrays: int) -> int:

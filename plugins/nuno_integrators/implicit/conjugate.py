@@ -38,7 +38,7 @@ def multiply_block(block: int, a: Linear) -> None:
     origin = block * BLOCK
     width = min(BLOCK, u.shape[1] - origin)
     local = np.zeros((3, width + PADDING))
-    multiply_forces(a.forces, a.forces_on, a.rows, block, origin, u, local)
+    multiply_forces(a.forces, a.forces_on, block, origin, u, local)
     total = 0.0
     for c in range(width):
         v = origin + c

@@ -55,7 +55,7 @@ def compile_factor(a: Linear) -> None:
     empty = Elements(none, *np.zeros((3, 1, 0), np.int64))
     elements = tuple(
         None if rows is None or kernels_of(term).find("assemble") is None else empty
-        for term, rows in zip(a.forces, a.rows, strict=True)
+        for term, rows in zip(a.forces, a.forces.rows, strict=True)
     )
     factor = make_factor(Plan(Fronts(*(none for _ in Fronts._fields)), 0, 0, elements), a.own.shape[1])
     factorise(factor, a)
@@ -236,7 +236,7 @@ def factorise(factor: Factor, a: Linear) -> bool:
     plan = factor.plan
     factor.values[...] = 0.0
     factor.diagonal[...] = a.own
-    for term, rows, places in zip(a.forces, a.rows, plan.elements, strict=True):
+    for term, rows, places in zip(a.forces, a.forces.rows, plan.elements, strict=True):
         if places is not None:
             kernels_of(term).find("assemble")(rows, places, factor.diagonal, factor.values)
     add_diagonal(plan.fronts, factor.diagonal, factor.values)

@@ -133,7 +133,7 @@ def solve_linear(s: Solver, packed: Packed, x: Float, rate: float, residual: Flo
 
 def is_touched(s: Solver) -> bool:
     """Whether a term that foresees contact had a part in the last matrix."""
-    terms = zip(s.linear.forces, s.linear.rows, strict=True)
+    terms = zip(s.linear.forces, s.linear.forces.rows, strict=True)
     return any(rows.number.any() for term, rows in terms if rows is not None and "foresee" in kernels_of(term))
 
 

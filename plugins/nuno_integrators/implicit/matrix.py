@@ -8,7 +8,7 @@ of a yarn add that follow each other is in nuno_kernels.forces.yarns.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from nuno_kernels import block_kernel, kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, PADDING, block_count
-from nuno_kernels.terms import each, kernels_of, over_blocks
+from nuno_kernels.terms import Terms, each, kernels_of, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 LOWEST = 1e300
@@ -32,8 +32,7 @@ class Linear(NamedTuple):
     """The matrix A and what solving with it needs.
 
     own, inverse  (6, n) xx, yy, zz, xy, xz, yz: D, and the inverse of A's diagonal blocks, 0 where pinned
-    forces, forces_on   as in Packed
-    rows          rows of each force's matrix (nuno_kernels.forces.linear), None for one without
+    forces, forces_on   as in Packed, with the rows of each force's matrix (nuno_kernels.forces.linear), or None
     sums          (blocks,) scratch
     x, r, z, p, q (3, n) solution, residual, preconditioned residual, direction, A times direction
     """
@@ -41,9 +40,8 @@ class Linear(NamedTuple):
     own: Float
     inverse: Float
     inverse_mass: Float
-    forces: tuple[Any, ...]
+    forces: Terms
     forces_on: Bool
-    rows: tuple[Any, ...]
     sums: Float
     x: Float
     r: Float
@@ -58,10 +56,11 @@ def make_linear(packed: Packed) -> Linear:
     makers = [kernels_of(term).find("rows") for term in packed.forces]
     rows = tuple(None if make is None else make(term) for make, term in zip(makers, packed.forces, strict=True))
     on = np.array([part is not None for part in rows], np.bool_)
+    forces = Terms(packed.forces, ("fill", "diagonal", "multiply"), rows=rows)
     own, inverse = np.zeros((2, 6, n))
     sums = np.zeros(block_count(n))
     vectors = (np.zeros((3, n)) for _ in "xrzpq")
-    return Linear(own, inverse, packed.inverse_mass.copy(), packed.forces, on, rows, sums, *vectors)
+    return Linear(own, inverse, packed.inverse_mass.copy(), forces, on, sums, *vectors)
 
 
 @kernel
@@ -91,8 +90,8 @@ def fill_block(block: int, x: Float, before: Float, tangent: Tangent, a: Linear)
     """Linearise a block's forces at x (3, n) and invert its diagonal blocks."""
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
     diagonal = np.zeros((6, high - low + PADDING))
-    fill_rows(a.forces, a.forces_on, a.rows, block, x, before, tangent.rate, tangent.floor, tangent.follow)
-    sum_diagonal(a.forces, a.forces_on, a.rows, block, low, diagonal)
+    fill_rows(a.forces, a.forces_on, block, x, before, tangent.rate, tangent.floor, tangent.follow)
+    sum_diagonal(a.forces, a.forces_on, block, low, diagonal)
     for v in range(low, high):
         if a.inverse_mass[v] > 0.0:
             invert(a.own, a.inverse, v, diagonal, v - low)

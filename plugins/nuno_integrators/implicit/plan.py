@@ -224,7 +224,7 @@ def make_plan(position: Float, linear: Linear) -> Plan:
     number[free] = np.arange(free.shape[0])
     found = [
         None if rows is None or (find := kernels_of(term).find("elements")) is None else find(rows)
-        for term, rows in zip(linear.forces, linear.rows, strict=True)
+        for term, rows in zip(linear.forces, linear.forces.rows, strict=True)
     ]
     pairs = [np.empty((0, 2), np.int64), *(_edges(number[item[1]]) for item in found if item is not None)]
     edges = np.unique(np.concatenate(pairs), axis=0)

@@ -295,6 +295,16 @@ def by_address(kernel: Any) -> Any:
     return kernel.by_address() if hasattr(kernel, "by_address") else kernel
 
 
+def address_of(dispatcher: Any, kinds: tuple[Any, ...]) -> int:
+    """Return the address of a compiled function for arguments of these types. Raises TypeError if it returns what steps
+    do not take.
+    """
+    compiled = dispatcher.overloads[kinds]
+    if (result := compiled.signature.return_type) != types.none:
+        raise TypeError(f"{dispatcher.py_func.__qualname__} returns {result}: a kernel that steps call returns nothing")
+    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+
+
 def call_from_kernels(outer: Any, version: Callable[[], Any]) -> Any:
     """Let kernels call `version`, which is made on demand, in place of the compiled function `outer`."""
     outer.get_call_template = lambda args, kws: version().get_call_template(args, kws)

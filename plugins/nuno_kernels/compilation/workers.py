@@ -18,7 +18,7 @@ import queue
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -72,6 +72,14 @@ class Workers:
                 return
             made = self._enlist(task)
         made.result()
+
+    def foresee(self, tasks: Callable[[], Iterable[Task | None]]) -> bool:
+        """Have tasks compiled that will be waited for later; return whether a process is ready for that."""
+        with self.lock:
+            if self.ready > 0:
+                for task in filter(None, tasks()):
+                    self._enlist(task)
+            return self.ready > 0
 
     def _enlist(self, task: Task) -> Future[None]:
         if task[0] not in self.made:
@@ -184,8 +192,7 @@ def compile_side_by_side(dispatcher: Any, declare: Callable[[Any], None] | None 
     def compile_once(kinds: Any, here: bool = False) -> Any:
         if here or (FOUND and not declare) or tuple(kinds) in dispatcher.overloads:
             return compile_here(kinds)
-        path = dispatcher._cache.path(kinds, dispatcher.targetctx.codegen())
-        if not path.exists() and (task := _task(dispatcher, path.name, kinds)):
+        if task := _missing(dispatcher, kinds):
             if FOUND and declare:
                 FOUND(task)
                 return declare(kinds)
@@ -194,6 +201,22 @@ def compile_side_by_side(dispatcher: Any, declare: Callable[[Any], None] | None 
 
     dispatcher.compile = compile_once
     return dispatcher
+
+
+def compile_all(calls: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
+    """Compile functions for arguments of given types, side by side as soon as processes are ready."""
+    foreseen = FOUND is not None
+    for dispatcher, kinds in calls:
+        foreseen = foreseen or WORKERS.foresee(lambda: (_missing(*call) for call in calls))
+        dispatcher.compile(kinds)
+
+
+def _missing(dispatcher: Any, kinds: tuple[Any, ...]) -> Task | None:
+    """Return the task of compiling what a function lacks, None for nothing."""
+    if kinds in dispatcher.overloads or not hasattr(dispatcher._cache, "path"):
+        return None
+    path = dispatcher._cache.path(kinds, dispatcher.targetctx.codegen())
+    return None if path.exists() else _task(dispatcher, path.name, kinds)
 
 
 def _task(dispatcher: Any, file: str, kinds: Any) -> Task | None:

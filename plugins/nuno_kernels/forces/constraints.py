@@ -33,7 +33,7 @@ from nuno_kernels.lanes import (
 )
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK, Long
-from nuno_kernels.terms import Displaced, call_each, each, over_blocks, register
+from nuno_kernels.terms import Displaced, Terms, call_each, each, over_blocks, register
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Float, Int
 
@@ -103,7 +103,7 @@ class Constraints(NamedTuple):
     """A system's constraints: (colours + 1,) bounds over the batches, the batches of each kind, and which kinds act."""
 
     colour: Long
-    kinds: tuple[Any, ...]
+    kinds: Terms
     on: Bool
 
 
@@ -402,7 +402,7 @@ def pack_constraints(packed: Packed, remember: bool) -> Constraints:
     of_elements, colour = find_batches([part.corners // BLOCK for part in elements])
     batches = int(colour[-1])
     kinds = [part.pack(of, batches, vertices, remember) for part, of in zip(elements, of_elements, strict=True)]
-    return Constraints(colour, tuple(kinds), np.ones(len(kinds), np.bool_))
+    return Constraints(colour, Terms(kinds, ("sweep", "forget")), np.ones(len(kinds), np.bool_))
 
 
 def constraints_of_spring_runs(runs: SpringRuns, vertices: int) -> tuple[RunElements | ListElements, ...]:

@@ -1,11 +1,11 @@
-"""The whole acceleration a(x, v, t), compiled for just the terms that a scene has.
+"""The whole acceleration a(x, v, t) of the terms that a scene has.
 
 `evaluate` is what every integrator's loop calls.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from nuno_kernels import block_kernel
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, load, write
 from nuno_kernels.step.blocks import BLOCK, PADDING, Long
-from nuno_kernels.terms import each, over_blocks
+from nuno_kernels.terms import Terms, each, over_blocks
 from nuno_schemas.fabric import Bool, Float
 
 add_blocks = each("block", "block, origin, x, v, force, t")
@@ -24,6 +24,8 @@ settle_bodies = each("settle", "x, v, s, threads")
 hold = each("hold", "x, v, s, threads")
 slow = each("slow", "x, v, threads")
 credit = each("credit", "change")
+OF_BODIES = ("place", "look", "after", "settle", "hold", "slow", "credit")
+"""roles in which steps call what carries vertices, meets them or holds them"""
 
 
 @by_reference
@@ -49,9 +51,9 @@ class Packed(NamedTuple):
     inverse_mass: Float
     gravity: Float
     damping: float
-    forces: tuple[Any, ...] = ()
+    forces: Terms = Terms()
     forces_on: Bool = np.ones(0, np.bool_)
-    bodies: tuple[Any, ...] = ()
+    bodies: Terms = Terms()
     bodies_on: Bool = np.ones(0, np.bool_)
     threads: int | None = None
     late: bool | None = None
@@ -155,14 +157,14 @@ def evaluate(x: Float, v: Float, s: float, a: Float, p: Packed) -> None:
 
 
 @block_kernel
-def settle(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
+def settle(x: Float, v: Float, s: float, bodies: Terms, on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, update friction anchors."""
     place(bodies, on, x, v, s)
     settle_bodies(bodies, on, x, v, s, threads)
 
 
 @block_kernel
-def commit(x: Float, v: Float, s: float, bodies: tuple[Any, ...], on: Bool, threads: int | None) -> None:
+def commit(x: Float, v: Float, s: float, bodies: Terms, on: Bool, threads: int | None) -> None:
     """After a whole step that ends at fraction s: place carried vertices, hold vertices off the bodies that they slide
     on, and update friction anchors on the others by where that leaves them.
     """
