@@ -64,7 +64,9 @@ def _settle() -> Iterator[None]:
     gc.freeze()
 
 
-APART = ("dye", "knit", "yarn", "stocking", "render", "ray", "curve", "field", "sdf", "wrinkle", "xpbd", "shirt")
+APART = (
+    "dye", "knit", "yarn", "stocking", "render", "ray", "curve", "drawing", "field", "sdf", "wrinkle", "xpbd", "shirt",
+)  # fmt: skip
 """Words in the names of test files that compile few of the kernels which the others compile."""
 DEAREST = "test_cloth_and_bodies"
 """Compiles most of cloth contact, which others need, too: longer than anything else."""
