@@ -320,6 +320,8 @@ def test_a_step_that_does_not_end_is_told_with_its_frame(
 
 GIVEN = """\
 from dataclasses import replace
+from nuno_kernels import kernel
+from nuno_kernels.forces.vertex import vertex_force
 from nuno_kernels.formula import formula
 from nuno_kernels.terms import register
 from typing import Annotated, NamedTuple
@@ -365,6 +367,56 @@ class Uncompiled(NamedTuple):
     k: float
     def limit(self, phi, room):
         return self.b * phi
+@formula
+class Steep(NamedTuple):
+    k: float
+    def distance(self, x, y, z):
+        return x - self.k
+    def gradient(self, x, y, z):
+        return 2.0, 0.0, 0.0
+@formula
+class Flat(NamedTuple):
+    k: float
+    def distance(self, x, y, z):
+        return x - self.k
+    def gradient(self, x, y, z):
+        return x, y
+@vertex_force("two")
+class Two(NamedTuple):
+    k: float
+    def force(self, x):
+        return self.k * x[0], self.k * x[1]
+@vertex_force("scaled")
+class Scaled(NamedTuple):
+    k: float
+    def force(self, x):
+        return self.k * x
+@vertex_force("heavy")
+class Heavy(NamedTuple):
+    k: float
+    def force(self, v, t):
+        return self.k * v[0], self.k * v[1], 0
+    def energy(self, x):
+        return x
+@vertex_force("right")
+class Right(NamedTuple):
+    k: float
+    def force(self, v, t):
+        return np.cross(np.ones(3), np.array(v))
+    def energy(self, x):
+        return 0
+@kernel
+def lost(term, block, origin, x, v, force):
+    force[0, 0] += term.lost
+@kernel
+def lost_energy(term, x):
+    return term.lost
+class Lostly(NamedTuple):
+    k: float
+register(Lostly, "lostly", block=lost)
+class Measured(NamedTuple):
+    k: float
+register(Measured, "measured", energy=lost_energy)
 def cloth():
     x = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0, 0.1], [0.1, 0, 0.1]])
     pairs = np.array([[0, 1], [0, 2], [1, 3], [2, 3], [1, 2]], np.int32)
@@ -450,6 +502,8 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (BODY, FORM.format("print"), "fields[0] is builtin_function_or_method, not a named tuple with a compiled distance"),
     (BODY, FORM.format("Law(1.0)"), "fields[0] is Law, not a named tuple with a compiled distance"),
     (BODY, FORM.format("Lost(1.0)"), "fields[0].distance is nan at (0, 0, 0)"),
+    (BODY, FORM.format("Steep(1.0)"), "fields[0].gradient has length 2 at (0, 0, 0), not 1"),
+    (BODY, FORM.format("Flat(1.0)"), "fields[0].gradient returns (0.0, 0.0), not 3 numbers"),
     (BODY, DRAWN.format("faces=tetrahedron().faces + 1"), "faces is 4 at row 1, outside 0 to 3"),
     (BODY, DRAWN.format("owner=np.ones(4, np.int32)"), "owner is 1 at row 0, outside 0 to 0"),
     (MOTION, "replace(mover(), parents=np.zeros(1, np.int32))", "parents is 0 at row 0, which does not come before it"),
@@ -465,6 +519,11 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (OWN, TYPED.format("np.zeros((2, 3)), (1.0, 2.0)"), "data[0].k is tuple, no number"),
     (OWN, "Term('own', (Unknown(1.0),))", "data[0] is of type Unknown, which has no kernels"),
     (OWN, "Term('own', (Idle(1.0),))", "data[0] is of type Idle, which has no kernels, and so does nothing"),
+    (OWN, "Term('own', (Two(1.0),))", "data[0].force returns (0.0, 0.0), not 3 numbers"),
+    (OWN, "Term('own', (Scaled(1.0),))", "data[0].force cannot be compiled: No implementation of "),
+    (OWN, "Term('own', (Heavy(1.0),))", "data[0].energy returns (0.0, 0.0, 0.0), not a number"),
+    (OWN, "Term('own', (Lostly(1.0),))", "data[0] block cannot be compiled: Unknown attribute 'lost' of type Lostly"),
+    (OWN, "Term('own', (Measured(1.0),))", "data[0] energy cannot be compiled: Unknown attribute 'lost' of type"),
     (CLOTH, "(replace(cells(), porosity=2 * np.ones((2, 3, 4))), amounts())",
      "cells.porosity is 2.0 at row 0, outside 0 to 1"),
     (CLOTH, "(cells(), DyeState(np.zeros((2, 3, 4)), np.zeros((2, 3, 4))))",
@@ -481,7 +540,7 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (ISOTHERM, "Isotherm('own', law=Law(-1.0))", "law.limit falls beyond (0, 0.1)"),
     (ISOTHERM, "Isotherm('own', law=Shifted(0.1))", "law.limit is 0.1 at (0, 0.1), not 0"),
     (ISOTHERM, "Isotherm('own', law=Endless(0.1))", "law.limit is nan at (0, 0.1)"),
-    (ISOTHERM, "Isotherm('own', law=Uncompiled(0.1))", "law.limit cannot be compiled: "),
+    (ISOTHERM, "Isotherm('own', law=Uncompiled(0.1))", "law.limit cannot be compiled: Unknown attribute 'b' of type"),
 ]  # fmt: skip
 GOOD = [
     (FABRIC, "cloth()"),
@@ -491,6 +550,7 @@ GOOD = [
     (MOTION, "mover()"),
     (OWN, "Term('python', print)"),
     (OWN, TYPED.format("np.zeros((2, 3)), 2, np.zeros(4, np.int32)")),
+    (OWN, "Term('own', (Right(1.0),))"),
     (CLOTH, "(cells(), amounts())"),
     (("nuno.integrators", "limit"), "StepLimit(np.inf, 1.0, 0.0)"),
     (ISOTHERM, "Isotherm('partition', 1.0)"),

@@ -10,6 +10,7 @@ import logging
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,11 @@ from nuno.plugin_contract.values import (
     check_fields,
     check_layout,
     check_number,
+    check_numbers,
     check_skins,
     check_type,
+    compiler_reason,
+    compiling,
     evaluate_formula,
 )
 from nuno_schemas.bodies import BOX, CAPSULE, FIELD, OF_TRIANGLES, PLANE
@@ -131,7 +135,8 @@ class Foreign:
         def fail(error: BaseException) -> BaseException:
             if isinstance(error, BadInput | RunFailed):
                 return error
-            text = f"{type(error).__name__}: {error}{_hint(error)}{_place(error)}"
+            reason = compiler_reason(error) if type(error).__module__.startswith("numba.") else error
+            text = f"{type(error).__name__}: {reason}{_hint(error)}{_place(error)}"
             return RunFailed(f"{self._label} failed in {name}: {text}")
 
         return containment.call(fail, method, *args, **kwargs)
@@ -317,6 +322,28 @@ def check_term(term: Term, fabric: Fabric) -> None:
         if not getattr(getattr(type(part), "kernels", None), "roles", None):
             kind = f"data[{i}] is of type {type(part).__qualname__}, which has no kernels"
             raise ContractError(f"{kind}, and so does nothing: nuno_kernels.terms.register gives a type its kernels")
+        if fabric.number:
+            check_kernels(f"data[{i}]", part, fabric)
+
+
+def check_kernels(what: str, part: Any, fabric: Fabric) -> None:
+    """Check that what a step calls of a force can be compiled, and gives newtons and joules if it is one on each vertex
+    alone: a step would not say whose it is.
+    """
+    import numba  # the plugin has, and others do without
+
+    kernels, rows = type(part).kernels, numba.float64[:, ::1]
+    given = {"x": tuple(fabric.position[0].tolist()), "v": tuple(fabric.velocity[0].tolist()), "t": 0.0}
+    alone = "at_vertex" in kernels
+    for role, name, count in (("at_vertex", "force", 3), ("energy_at_vertex", "energy", 1)):
+        if (method := kernels.find(role)) is not None:
+            taken = list(signature(method.py_func).parameters)[1:]
+            check_numbers(f"{what}.{name}", count, method, part, *(given[one] for one in taken))
+    for role, types in (("block", (numba.int64, numba.int64, rows, rows, rows, numba.float64)), ("energy", (rows,))):
+        if hasattr(method := kernels.find(role), "py_func") and not alone:
+            parameters = (numba.typeof(part), *types)[: len(signature(method.py_func).parameters)]
+            with compiling(f"{what} {role}"):
+                method.compile(parameters)
 
 
 def check_touched(touched: Touched, vertices: int) -> None:

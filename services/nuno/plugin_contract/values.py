@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import takewhile
+from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -152,6 +156,8 @@ def check_fields(shape: Geometry | BodyShape) -> None:
         elif field is not None:
             places = np.array([shape.a[primitive], shape.b[primitive], 0.5 * (shape.a + shape.b)[primitive]])
             evaluate_formula(f"fields[{i}]", field, "distance", *places.T)
+            if (gradient := getattr(field, "gradient", None)) is not None:
+                check_gradient(f"fields[{i}].gradient", gradient, places[0])
 
 
 def check_field(what: str, field: DistanceField) -> None:
@@ -177,14 +183,54 @@ def evaluate_formula(what: str, formula: Any, method: str, *arguments: Any) -> F
     for name, value in zip(kind._fields, formula, strict=True):
         check_type(f"{what}.{name}", value, float)
         check_number(f"{what}.{name}", value)
-    try:
+    with compiling(f"{what}.{method}"):
         values: Float = getattr(formula, method)(*arguments)
-    except Exception as error:  # the compiler's, whose first line alone says little
-        raise ContractError(f"{what}.{method} cannot be compiled: {' '.join(str(error).split())[-300:]}") from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         place = ", ".join(f"{np.broadcast_to(one, values.shape).flat[bad[0]]:g}" for one in arguments)
         raise ContractError(f"{what}.{method} is {values.flat[bad[0]]} at ({place})")
     return values
+
+
+@contextlib.contextmanager
+def compiling(what: str) -> Iterator[None]:
+    """Raise ContractError with the compiler's reason."""
+    try:
+        yield
+    except Exception as error:
+        raise ContractError(f"{what} cannot be compiled: {compiler_reason(error)}") from None
+
+
+def check_numbers(what: str, count: int, method: Callable[..., Any], *arguments: Any) -> Float:
+    """Return what a compiled method gives. Raises ContractError for one that cannot be compiled, and for other than
+    `count` numbers.
+    """
+    with compiling(what):
+        given = method(*arguments)
+    values = np.ravel(given) if isinstance(given, np.ndarray | tuple | float | int) else np.empty(0, object)
+    if values.shape != (count,) or values.dtype.kind not in "fiu":
+        numbers = "a number" if count == 1 else f"{count} numbers"
+        raise ContractError(f"{what} returns {given!r}, not {numbers}")
+    return np.asarray(values, np.float64)
+
+
+def check_gradient(what: str, gradient: Callable[..., Any], place: Float) -> None:
+    """Check that a closed form's gradient has length 1 at a place (3,) outside."""
+    length = float(np.linalg.norm(check_numbers(what, 3, gradient, *place.tolist())))
+    if not math.isclose(length, 1.0, rel_tol=1e-6):
+        raise ContractError(f"{what} has length {length:g} at ({', '.join(f'{one:g}' for one in place)}), not 1")
+
+
+ENDS_REASON = ("There are ", "File ", "During: ", "raised from ")
+"""What follows the reason in a message of numba."""
+
+
+def compiler_reason(error: BaseException) -> str:
+    """Return why a function cannot be compiled, and its file and line: the innermost of the errors that numba nests."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    begins = max((i + 1 for i, line in enumerate(lines) if "Failed in nopython" in line), default=0)
+    reason = " ".join(takewhile(lambda line: not line.startswith(ENDS_REASON), lines[begins:]))
+    place = re.search(r'File "([^"]+)", line (\d+)', "\n".join(lines[begins:]))
+    return f"{reason} ({Path(place[1]).name}:{place[2]})" if place else reason
 
 
 def check_skins(shape: Geometry | BodyShape) -> None:
