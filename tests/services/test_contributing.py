@@ -90,6 +90,32 @@ def torus(x: Float) -> Float:
     return np.hypot(np.hypot(x[:, 0], x[:, 2]) - 0.3, x[:, 1]) - 0.05
 
 
+def test_the_film_swings_at_the_frequency_of_a_membrane(packages: Packages, tmp_path: Path) -> None:
+    """A square film of side L, tension T and density s, held at its rim: z goes as cos(pi sqrt(2 T / s) t / L)."""
+    packages.add_shown("films")
+    side, cells, density, tension = 0.2, 24, 0.1, 0.1
+    u, w = np.meshgrid(*(np.linspace(0.0, 1.0, cells + 1),) * 2, indexing="ij")
+    bulge = 1e-4 * np.sin(np.pi * u) * np.sin(np.pi * w)
+    places = np.stack([side * u, side * w, bulge], axis=-1).reshape(-1, 3)
+    number = np.arange(len(places)).reshape(u.shape) + 1
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    lines = [
+        *(f"v {x!r} {y!r} {z!r}" for x, y, z in places.tolist()),
+        *(f"f {i} {j} {k}" for i, j, k in faces.tolist()),
+    ]
+    (tmp_path / "square.obj").write_text("\n".join(lines) + "\n")
+    fabric = {"density": density, "structural": 20, "shear": 20, "bending": 0, "damping": 0}
+    rim = np.flatnonzero((u * (1.0 - u) * w * (1.0 - w)).ravel() == 0.0).tolist()
+    model = {"plugin": "mesh", "file": "square.obj", "fabric": fabric, "pin": rim}
+    third = float(2.0 / 3.0 * side / np.sqrt(2.0 * tension / density))  # of a period
+    fields = {"objects": [{"name": "film", "model": model}], "forces": [{"plugin": "film", "tension": tension}]}
+    still = {"duration": third, "frame_rate": 1.0 / third, "gravity": [0, 0, 0], "damping": 0}
+    found = end(tmp_path, "leapfrog", 2e-4, **fields, **still)
+    assert found.x[:, 2].max() < 1e-6
+    assert found.x[:, 2] @ bulge.ravel() / (bulge**2).sum() == pytest.approx(-0.5, abs=0.01)
+
+
 @pytest.mark.parametrize("module", ["ring", "temkin"])
 def test_a_collider_and_an_isotherm_are_short(module: str) -> None:
     assert len(shown(module).splitlines()) <= 30
@@ -119,6 +145,8 @@ def test_a_loop_that_takes_more_room_than_there_is_is_refused(packages: Packages
 
 FAULTS: list[tuple[str, dict[str, object], str, str, Callable[[Subject], None]]] = [
     ("magnets", {"stiffness": 0.02}, "0.5 * self", "0.6 * self", forces.it_is_the_downhill_slope_of_its_energy),
+    ("films", {"tension": 0.02}, "0.5 * film.tension / math", "0.6 * film.tension / math",
+     forces.it_is_the_downhill_slope_of_its_energy),
     ("heun3", {}, "1 / 4, 0, 3 / 4", "1 / 2, 0, 1 / 2", integrators.the_error_falls_with_the_stated_order),
     ("drift_kick", {}, "add(u, v, dt / 2", "add(u, v, dt", integrators.the_error_falls_with_the_stated_order),
     ("drift_kick", {}, "stages[1]", "stages[16]", integrators.a_step_of_the_stated_limit_lets_nothing_grow),

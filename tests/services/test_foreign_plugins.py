@@ -502,7 +502,7 @@ WRONG: list[tuple[tuple[str, str], str, str]] = [
     (BODY, FORM.format("print"), "fields[0] is builtin_function_or_method, not a named tuple with a compiled distance"),
     (BODY, FORM.format("Law(1.0)"), "fields[0] is Law, not a named tuple with a compiled distance"),
     (BODY, FORM.format("Lost(1.0)"), "fields[0].distance is nan at (0, 0, 0)"),
-    (BODY, FORM.format("Steep(1.0)"), "fields[0].gradient has length 2 at (0, 0, 0), not 1"),
+    (BODY, FORM.format("Steep(1.0)"), "fields[0].gradient has length 2 at [0.0, 0.0, 0.0], not 1"),
     (BODY, FORM.format("Flat(1.0)"), "fields[0].gradient returns (0.0, 0.0), not 3 numbers"),
     (BODY, DRAWN.format("faces=tetrahedron().faces + 1"), "faces is 4 at row 1, outside 0 to 3"),
     (BODY, DRAWN.format("owner=np.ones(4, np.int32)"), "owner is 1 at row 0, outside 0 to 0"),

@@ -327,20 +327,17 @@ def check_term(term: Term, fabric: Fabric) -> None:
 
 
 def check_kernels(what: str, part: Any, fabric: Fabric) -> None:
-    """Check that what a step calls of a force can be compiled, and gives newtons and joules if it is one on each vertex
-    alone: a step would not say whose it is.
-    """
+    """Check that a force's kernels can be compiled, and what those of one vertex give: a step would not name them."""
     import numba  # the plugin has, and others do without
 
     kernels, rows = type(part).kernels, numba.float64[:, ::1]
     given = {"x": tuple(fabric.position[0].tolist()), "v": tuple(fabric.velocity[0].tolist()), "t": 0.0}
-    alone = "at_vertex" in kernels
     for role, name, count in (("at_vertex", "force", 3), ("energy_at_vertex", "energy", 1)):
         if (method := kernels.find(role)) is not None:
             taken = list(signature(method.py_func).parameters)[1:]
             check_numbers(f"{what}.{name}", count, method, part, *(given[one] for one in taken))
     for role, types in (("block", (numba.int64, numba.int64, rows, rows, rows, numba.float64)), ("energy", (rows,))):
-        if hasattr(method := kernels.find(role), "py_func") and not alone:
+        if hasattr(method := kernels.find(role), "py_func") and "at_vertex" not in kernels:
             parameters = (numba.typeof(part), *types)[: len(signature(method.py_func).parameters)]
             with compiling(f"{what} {role}"):
                 method.compile(parameters)

@@ -157,7 +157,9 @@ def check_fields(shape: Geometry | BodyShape) -> None:
             places = np.array([shape.a[primitive], shape.b[primitive], 0.5 * (shape.a + shape.b)[primitive]])
             evaluate_formula(f"fields[{i}]", field, "distance", *places.T)
             if (gradient := getattr(field, "gradient", None)) is not None:
-                check_gradient(f"fields[{i}].gradient", gradient, places[0])
+                slope = check_numbers(f"fields[{i}].gradient", 3, gradient, *places[0].tolist())
+                if not math.isclose(length := float(np.linalg.norm(slope)), 1.0, rel_tol=1e-6):
+                    raise ContractError(f"fields[{i}].gradient has length {length:g} at {places[0].tolist()}, not 1")
 
 
 def check_field(what: str, field: DistanceField) -> None:
@@ -208,27 +210,16 @@ def check_numbers(what: str, count: int, method: Callable[..., Any], *arguments:
         given = method(*arguments)
     values = np.ravel(given) if isinstance(given, np.ndarray | tuple | float | int) else np.empty(0, object)
     if values.shape != (count,) or values.dtype.kind not in "fiu":
-        numbers = "a number" if count == 1 else f"{count} numbers"
-        raise ContractError(f"{what} returns {given!r}, not {numbers}")
+        raise ContractError(f"{what} returns {given!r}, not {'a number' if count == 1 else f'{count} numbers'}")
     return np.asarray(values, np.float64)
-
-
-def check_gradient(what: str, gradient: Callable[..., Any], place: Float) -> None:
-    """Check that a closed form's gradient has length 1 at a place (3,) outside."""
-    length = float(np.linalg.norm(check_numbers(what, 3, gradient, *place.tolist())))
-    if not math.isclose(length, 1.0, rel_tol=1e-6):
-        raise ContractError(f"{what} has length {length:g} at ({', '.join(f'{one:g}' for one in place)}), not 1")
-
-
-ENDS_REASON = ("There are ", "File ", "During: ", "raised from ")
-"""What follows the reason in a message of numba."""
 
 
 def compiler_reason(error: BaseException) -> str:
     """Return why a function cannot be compiled, and its file and line: the innermost of the errors that numba nests."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    ends = ("There are ", "File ", "During: ", "raised from ")  # what follows the reason
     begins = max((i + 1 for i, line in enumerate(lines) if "Failed in nopython" in line), default=0)
-    reason = " ".join(takewhile(lambda line: not line.startswith(ENDS_REASON), lines[begins:]))
+    reason = " ".join(takewhile(lambda line: not line.startswith(ends), lines[begins:]))
     place = re.search(r'File "([^"]+)", line (\d+)', "\n".join(lines[begins:]))
     return f"{reason} ({Path(place[1]).name}:{place[2]})" if place else reason
 
