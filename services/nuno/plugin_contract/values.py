@@ -158,7 +158,7 @@ def check_fields(shape: Geometry | BodyShape) -> None:
             evaluate_formula(f"fields[{i}]", field, "distance", *places.T)
             if (gradient := getattr(field, "gradient", None)) is not None:
                 slope = check_numbers(f"fields[{i}].gradient", 3, gradient, *places[0].tolist())
-                if not math.isclose(length := float(np.linalg.norm(slope)), 1.0, rel_tol=1e-6):
+                if not math.isclose(length := math.hypot(*slope), 1.0, rel_tol=1e-6):
                     raise ContractError(f"fields[{i}].gradient has length {length:g} at {places[0].tolist()}, not 1")
 
 
@@ -203,9 +203,7 @@ def compiling(what: str) -> Iterator[None]:
 
 
 def check_numbers(what: str, count: int, method: Callable[..., Any], *arguments: Any) -> Float:
-    """Return what a compiled method gives. Raises ContractError for one that cannot be compiled, and for other than
-    `count` numbers.
-    """
+    """Return what a compiled method gives. Raises ContractError for other than `count` numbers."""
     with compiling(what):
         given = method(*arguments)
     values = np.ravel(given) if isinstance(given, np.ndarray | tuple | float | int) else np.empty(0, object)
