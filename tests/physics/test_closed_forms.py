@@ -145,7 +145,8 @@ BAD: dict[str, tuple[Any, tuple[float, float, float]]] = {
 
 @pytest.mark.parametrize("fault", BAD)
 def test_a_form_that_is_not_within_its_bounds_is_refused(fault: str) -> None:
-    with pytest.raises(BadInput, match="closed form"):
+    where = "nowhere within" if fault in ("inside out", "nothing") else "beyond"
+    with pytest.raises(BadInput, match=f"distance is negative {where} these bounds"):
         closed_form(OnJoint(), None, *BAD[fault])
 
 

@@ -100,7 +100,8 @@ def closed_form(config: OnJoint, mover: Mover | None, form: ClosedForm, half: Se
     value = form.distance(*np.meshgrid(*(np.linspace(-r, r, COARSE) for r in wide), sparse=True))
     inside = value <= 0.0
     if not inside.any() or inside.sum() != inside[1:-1, 1:-1, 1:-1].sum():
-        problem, limit = "a closed form encloses something, and nothing beyond its bounds", "negative inside alone"
+        where = "beyond these bounds" if inside.any() else "nowhere within these bounds"
+        problem, limit = f"a closed form's distance is negative {where}", "negative inside of the body alone"
         raise BadInput(problem, field="half", value=reach.tolist(), limit=limit)
     x, faces = find_isosurface(form.distance, -wide, wide, spacing)
     low, high = np.minimum(x.min(axis=0), -reach), np.maximum(x.max(axis=0), reach)

@@ -157,9 +157,10 @@ def check_fields(shape: Geometry | BodyShape) -> None:
             places = np.array([shape.a[primitive], shape.b[primitive], 0.5 * (shape.a + shape.b)[primitive]])
             evaluate_formula(f"fields[{i}]", field, "distance", *places.T)
             if (gradient := getattr(field, "gradient", None)) is not None:
-                slope = check_numbers(f"fields[{i}].gradient", 3, gradient, *places[0].tolist())
+                outside = (1.5 * places[0] - 0.5 * places[1]).tolist()
+                slope = check_numbers(f"fields[{i}].gradient", 3, gradient, *outside)
                 if not math.isclose(length := math.hypot(*slope), 1.0, rel_tol=1e-6):
-                    raise ContractError(f"fields[{i}].gradient has length {length:g} at {places[0].tolist()}, not 1")
+                    raise ContractError(f"fields[{i}].gradient has length {length:g} at {outside}, not 1")
 
 
 def check_field(what: str, field: DistanceField) -> None:
