@@ -60,7 +60,8 @@ def _unbox(reference: Reference, value: Any, c: Any) -> Any:
     """
     filled = _Filling(c)
     place = filled.tuple_at(reference, value)
-    with c.builder.if_then(filled.failed, likely=False):
+    raised = c.builder.icmp_unsigned("!=", c.pyapi.err_occurred(), c.pyapi.get_null_object())
+    with c.builder.if_then(c.builder.and_(filled.failed, c.builder.not_(raised)), likely=False):
         c.pyapi.err_set_string("PyExc_TypeError", f"a field of {reference.instance_class.__name__} is not what it was")
     return extending.NativeValue(place, is_error=filled.failed, cleanup=filled.give_back)
 

@@ -340,7 +340,7 @@ def check_kernels(what: str, part: Any, fabric: Fabric) -> None:
         if hasattr(method := kernels.find(role), "py_func") and "at_vertex" not in kernels:
             parameters = (numba.typeof(part), *types)[: len(signature(method.py_func).parameters)]
             with compiling(f"{what} {role}"):
-                method.compile(parameters)
+                getattr(method, "by_address", lambda: method)().compile(parameters)  # as a step calls it
 
 
 def check_touched(touched: Touched, vertices: int) -> None:
