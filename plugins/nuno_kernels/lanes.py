@@ -37,6 +37,8 @@ Lanes = Any
 """eight float64 lanes as one value in compiled code; Python itself has none"""
 Triple = tuple[Lanes, Lanes, Lanes]
 """x, y, z of eight vectors"""
+Seven = tuple[Lanes, Lanes, Lanes, Lanes, Lanes, Lanes, Lanes]
+"""the first seven numbers of eight rows"""
 
 
 class _VectorType(types.Type):  # type: ignore[misc]
@@ -124,7 +126,7 @@ def instruction(result: Any, *kinds: Any) -> Callable[[Callable[..., Any]], Any]
     return make
 
 
-def _address(builder: Any, view: Any, row: Any, column: Any) -> Any:
+def address(builder: Any, view: Any, row: Any, column: Any) -> Any:
     """Return a pointer to [row, column] of a view of an array."""
     columns = builder.extract_value(view.shape, 1)
     return builder.gep(view.data, [builder.add(builder.mul(row, columns), column)])
@@ -132,7 +134,7 @@ def _address(builder: Any, view: Any, row: Any, column: Any) -> Any:
 
 def _lanes_at(builder: Any, view: Any, row: Any, column: Any) -> Any:
     """Return a pointer to eight values from [row, column] of a view on."""
-    return builder.bitcast(_address(builder, view, row, column), LANES.as_pointer())
+    return builder.bitcast(address(builder, view, row, column), LANES.as_pointer())
 
 
 def _mask(builder: Any, count: Any) -> Any:
@@ -141,7 +143,7 @@ def _mask(builder: Any, count: Any) -> Any:
     return builder.icmp_signed("<", ir.Constant(index, list(range(WIDTH))), spread(builder, count, index))
 
 
-def _call(builder: Any, name: str, result: Any, *values: Any) -> Any:
+def call(builder: Any, name: str, result: Any, *values: Any) -> Any:
     """Call one of LLVM's functions."""
     kind, known = ir.FunctionType(result, [value.type for value in values]), builder.module.globals
     return builder.call(known[name] if name in known else ir.Function(builder.module, kind, name), values)
@@ -163,20 +165,20 @@ def store(builder: Any, array: Any, row: Any, column: Any, value: Any) -> None:
 def load_first(builder: Any, array: Any, row: Any, column: Any, count: Any) -> Any:
     """Return the first `count` of eight values, zeros in the other lanes; reads nothing else."""
     pointer, mask = _lanes_at(builder, array, row, column), _mask(builder, count)
-    return _call(builder, "llvm.masked.load.v8f64.p0", LANES, pointer, ir.Constant(_I32, 8), mask, ZERO)
+    return call(builder, "llvm.masked.load.v8f64.p0", LANES, pointer, ir.Constant(_I32, 8), mask, ZERO)
 
 
 @instruction(types.void, PLANE, types.int64, types.int64, types.int64, vector)
 def store_first(builder: Any, array: Any, row: Any, column: Any, count: Any, value: Any) -> None:
     """Write the first `count` of eight values and nothing else."""
     pointer, mask = _lanes_at(builder, array, row, column), _mask(builder, count)
-    _call(builder, "llvm.masked.store.v8f64.p0", ir.VoidType(), value, pointer, ir.Constant(_I32, 8), mask)
+    call(builder, "llvm.masked.store.v8f64.p0", ir.VoidType(), value, pointer, ir.Constant(_I32, 8), mask)
 
 
 def _places(builder: Any, array: Any, row: Any, index: Any, which: Any, start: Any) -> Iterator[Any]:
     """Yield pointers to array[row, index[which, start + lane]] for eight lanes."""
-    base = _address(builder, array, row, ir.Constant(ir.IntType(64), 0))
-    places = _address(builder, index, which, start)
+    base = address(builder, array, row, ir.Constant(ir.IntType(64), 0))
+    places = address(builder, index, which, start)
     for lane in range(WIDTH):
         place = builder.load(builder.gep(places, [ir.Constant(ir.IntType(64), lane)]))
         yield builder.gep(base, [builder.sext(place, ir.IntType(64))])
@@ -199,6 +201,34 @@ def add_at(builder: Any, array: Any, row: Any, index: Any, which: Any, start: An
         builder.store(builder.fadd(builder.load(pointer), item), pointer)
 
 
+def transposed(builder: Any, rows: list[Any]) -> list[Any]:
+    """Return the columns of a square of numbers, both as vectors: in each turn squares twice as wide change places."""
+    size, width = len(rows), 1
+    while width < size:
+        kept = [lane if not lane & width else size + lane - width for lane in range(size)]
+        given = [lane + width if not lane & width else size + lane for lane in range(size)]
+        for one in (row for row in range(size) if not row & width):
+            pair = rows[one], rows[one + width]
+            for row, lanes in ((one, kept), (one + width, given)):
+                rows[row] = builder.shuffle_vector(*pair, ir.Constant(ir.VectorType(_I32, size), lanes))
+        width *= 2
+    return rows
+
+
+@instruction(types.UniTuple(vector, 7), PLANE, INDICES, types.int64)
+def gather_rows(builder: Any, array: Any, index: Any, column: Any) -> Any:
+    """Return the first seven columns of an array (n, 8) in eight rows, index[lane, column]."""
+    rows = []
+    for lane in range(WIDTH):
+        row = builder.load(address(builder, index, ir.Constant(ir.IntType(64), lane), column))
+        first = ir.Constant(ir.IntType(64), 0)
+        rows.append(builder.load(_lanes_at(builder, array, builder.sext(row, ir.IntType(64)), first), align=8))
+    found = ir.Constant(ir.ArrayType(LANES, 7), ir.Undefined)
+    for number, columns in enumerate(transposed(builder, rows)[:7]):
+        found = builder.insert_value(found, columns, number)
+    return found
+
+
 @instruction(vector, types.float64)
 def splat(builder: Any, value: Any) -> Any:
     """Return the same number in all lanes."""
@@ -208,19 +238,19 @@ def splat(builder: Any, value: Any) -> Any:
 @instruction(vector, vector)
 def root(builder: Any, value: Any) -> Any:
     """Return the square root of every lane."""
-    return _call(builder, "llvm.sqrt.v8f64", LANES, value)
+    return call(builder, "llvm.sqrt.v8f64", LANES, value)
 
 
 @instruction(vector, vector)
 def magnitude(builder: Any, value: Any) -> Any:
     """Return the absolute value of every lane."""
-    return _call(builder, "llvm.fabs.v8f64", LANES, value)
+    return call(builder, "llvm.fabs.v8f64", LANES, value)
 
 
 @instruction(vector, vector, vector, vector)
 def fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c of every lane, rounded once: the same on every machine."""
-    return _call(builder, "llvm.fma.v8f64", LANES, a, b, c)
+    return call(builder, "llvm.fma.v8f64", LANES, a, b, c)
 
 
 @kernel
@@ -311,6 +341,13 @@ def lanes_up_to(builder: Any, value: Any, limit: Any) -> Any:
     """Return the bits of lanes that are no more than the number `limit`: bit j for lane j; NaN is not."""
     below = builder.fcmp_ordered("<=", value, spread(builder, limit))
     return builder.zext(builder.bitcast(below, ir.IntType(WIDTH)), ir.IntType(64))
+
+
+@instruction(types.int64, vector, types.float64)
+def lanes_above(builder: Any, value: Any, limit: Any) -> Any:
+    """Return the bits of lanes that are greater than the number `limit`; NaN is not."""
+    above = builder.fcmp_ordered(">", value, spread(builder, limit))
+    return builder.zext(builder.bitcast(above, ir.IntType(WIDTH)), ir.IntType(64))
 
 
 @instruction(types.int64, types.int64)

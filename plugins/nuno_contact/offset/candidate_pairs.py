@@ -23,39 +23,49 @@ from nuno_contact.offset.contact_state import (
     NEAR_WINDOW,
     NOW,
     PARTS,
+    WITH_FACES,
     ContactState,
     close_up,
 )
-from nuno_contact.offset.proximity import closest, point, spread_between, unit, weigh
-from nuno_contact.offset.tree import find_near, fit_tree, less, near_leaves
-from nuno_geometry.poses import Index, Vector
+from nuno_contact.offset.proximity import closest, point, unit, weigh
+from nuno_contact.offset.tree import PER_TWO, find_pairs, fit_tree, lay_out, less, near_leaves, vertices_of
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes import (
     EVERY,
     WIDTH,
+    Lanes,
+    Seven,
     Triple,
     dot,
+    gather_rows,
     higher,
+    lanes_above,
     lanes_up_to,
+    lower,
+    magnitude,
     minus,
+    plus,
     read,
     read_triple,
     root,
     splat,
+    store,
     times,
+    where_greater,
+    where_not_negative,
     write,
 )
 from nuno_kernels.step.blocks import Long, copy_rows
 from nuno_kernels.terms import over_blocks
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Float, Int
 
 # The list of candidate pairs that the tree finds, and the near ones among them, which forces and steps examine.
 
-MIDDLES = (0.5, 0.5, -0.5, -0.5), (1.0, -1.0 / 3.0, -1.0 / 3.0, -1.0 / 3.0)
-"""weights of the way between the middles of two edges, and of a vertex and a triangle"""
 SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
 """the golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)"""
 EMPTY = -(1 << 63)
+TINY = 1e-300
+"""length of a way that has none"""
 
 
 @forced_inline
@@ -103,174 +113,246 @@ def measure(m: ContactState, p: int) -> None:
     pairs.damping[p] = 0.0 if mass == np.inf else 2.0 * damping * math.sqrt(0.5 * stiffness * mass)
 
 
-@block_kernel
-def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
-    """Write into ways (n, 8), one cache line for each vertex: its position, its way, and its spread."""
-    for i in range(x.shape[1]):
-        for row in range(3):
-            ways[i, row], ways[i, 3 + row] = x[row, i], x[row, i] + u[row, i]
-        ways[i, 6] = spread[i]
+Pair = tuple[Seven, Seven, Seven, Seven]
+"""positions, ends and spreads of the four vertices of eight pairs, as nuno_contact.offset.tree.lay_out has them"""
 
 
 @forced_inline
-def begin_of(ways: Float, i: Index) -> Vector:
-    """Return vertex i's position at the start of the way."""
-    return ways[i, 0], ways[i, 1], ways[i, 2]
+def begin_of(w: Seven) -> Triple:
+    """Return a vertex' position at the start of the way."""
+    return w[0], w[1], w[2]
 
 
 @forced_inline
-def end_of(ways: Float, i: Index) -> Vector:
+def end_of(w: Seven) -> Triple:
     """Return its position at the end."""
-    return ways[i, 3], ways[i, 4], ways[i, 5]
+    return w[3], w[4], w[5]
 
 
 @forced_inline
-def gap_along(of_edges: bool, n: Vector, ways: Float, i: Index, j: Index, k: Index, l: Index) -> float:  # noqa: E741
-    """Return how far apart a plane across n keeps a pair all along its way, strays included."""
-    r = (ways[i, 6], ways[j, 6], ways[k, 6], ways[l, 6])
-    begin = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
-    end = (end_of(ways, i), end_of(ways, j), end_of(ways, k), end_of(ways, l))
-    return less(spread_between(of_edges, n, begin, r), spread_between(of_edges, n, end, r))
+def gap_at(of_edges: bool, n: Triple, p: tuple[Triple, Triple, Triple, Triple], w: Pair) -> Lanes:
+    """Return how far apart a plane across n keeps pairs with vertices p, strays included."""
+    a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
+    second = higher(c + w[2][6], d + w[3][6])
+    if of_edges:
+        return lower(a - w[0][6], b - w[1][6]) - second
+    return a - w[0][6] - higher(b + w[1][6], second)
 
 
 @forced_inline
-def apart_at_middles(of_edges: bool, ways: Float, i: Index, j: Index, k: Index, l: Index, thickness: float) -> bool:  # noqa: E741
-    """Whether the plane across the line between their middles keeps a pair apart, as it does most neighbours in the
-    cloth. Not the plane that the pair had last: a resumed run has only those across closest points.
+def gap_along(of_edges: bool, n: Triple, w: Pair) -> Lanes:
+    """Return how far apart a plane across n keeps eight pairs all along their way."""
+    begin = (begin_of(w[0]), begin_of(w[1]), begin_of(w[2]), begin_of(w[3]))
+    end = (end_of(w[0]), end_of(w[1]), end_of(w[2]), end_of(w[3]))
+    return lower(gap_at(of_edges, n, begin, w), gap_at(of_edges, n, end, w))
+
+
+@forced_inline
+def between_middles(of_edges: bool, w: Pair) -> Triple:
+    """Return the way between the middles of eight pairs, of any length."""
+    a, b, c, d = begin_of(w[0]), begin_of(w[1]), begin_of(w[2]), begin_of(w[3])
+    if of_edges:
+        return minus(plus(a, b), plus(c, d))
+    return minus(times(splat(3.0), a), plus(b, plus(c, d)))
+
+
+@forced_inline
+def clamped_lanes(a: Lanes) -> Lanes:
+    """Clamp numbers to [0, 1]; NaN becomes 0."""
+    return lower(higher(a, splat(0.0)), splat(1.0))
+
+
+@forced_inline
+def between_edges(w: Pair) -> Triple:
+    """Return the way between the closest points of eight pairs of edges: see nuno_contact.offset.proximity.to_edge."""
+    p, a = begin_of(w[0]), begin_of(w[2])
+    d1, d2, r = minus(begin_of(w[1]), p), minus(begin_of(w[3]), a), minus(p, a)
+    aa, ee, f, c, bb = dot(d1, d1), dot(d2, d2), dot(d2, r), dot(d1, r), dot(d1, d2)
+    det = aa * ee - bb * bb
+    s = where_greater(det, 1e-14 * aa * ee, clamped_lanes((bb * f - c * ee) / det))
+    along = (bb * s + f) / ee
+    t = clamped_lanes(along)
+    s = where_not_negative(splat(0.0) - magnitude(t - along), s, clamped_lanes((bb * t - c) / aa))
+    return minus(plus(r, times(s, d1)), times(t, d2))
+
+
+@forced_inline
+def choose(test: Lanes, a: Triple, b: Triple) -> Triple:
+    """Return `a` where `test` is not negative, `b` elsewhere."""
+    x, y, z = (
+        where_not_negative(test, a[0], b[0]),
+        where_not_negative(test, a[1], b[1]),
+        where_not_negative(test, a[2], b[2]),
+    )
+    return x, y, z
+
+
+@forced_inline
+def between_faces(w: Pair) -> Triple:
+    """Return the way from the closest points of triangles to vertices: across the triangle where that leads into it,
+    else the shortest from its edges.
     """
-    here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
-    n, _ = unit(weigh(MIDDLES[0] if of_edges else MIDDLES[1], here))
-    return gap_along(of_edges, n, ways, i, j, k, l) > thickness
+    p, a, b, c = begin_of(w[0]), begin_of(w[1]), begin_of(w[2]), begin_of(w[3])
+    ab, ac, bc, ap, bp = minus(b, a), minus(c, a), minus(c, b), minus(p, a), minus(p, b)
+    bb, bc_, cc, pb, pc = dot(ab, ab), dot(ab, ac), dot(ac, ac), dot(ap, ab), dot(ap, ac)
+    nearest = minus(ap, times(clamped_lanes(pb / bb), ab))
+    for other in (
+        minus(ap, times(clamped_lanes(pc / cc), ac)), minus(bp, times(clamped_lanes(dot(bp, bc) / dot(bc, bc)), bc)),
+    ):  # fmt: skip
+        nearest = choose(dot(other, other) - dot(nearest, nearest), nearest, other)
+    square, t, s = bb * cc - bc_ * bc_, bb * pc - bc_ * pb, cc * pb - bc_ * pc
+    across = minus(ap, times(1.0 / square, plus(times(s, ab), times(t, ac))))
+    return choose(splat(0.0) - lower(lower(s, t), square - s - t), nearest, across)
 
 
 @forced_inline
-def vertices_of(m: ContactState, e: int, f: int) -> tuple[int, int, int, int]:
-    """Return the vertices of a vertex e and a triangle f, or of edges -1 - e and f."""
-    if e < 0:
-        return m.tree.edges[-1 - e, 0], m.tree.edges[-1 - e, 1], m.tree.edges[f, 0], m.tree.edges[f, 1]
-    return e, m.tree.faces[f, 0], m.tree.faces[f, 1], m.tree.faces[f, 2]
+def unit_lanes(v: Triple) -> Triple:
+    """Return eight vectors at length 1, or 0 if they are that."""
+    return times(1.0 / higher(root(dot(v, v)), splat(TINY)), v)
+
+
+@forced_inline
+def plane_between(of_edges: bool, by_middles: bool, w: Pair) -> Triple:
+    """Return the directions of planes that may keep eight pairs apart: across the line between their middles, which
+    keeps apart most neighbours in the cloth, or between their closest points.
+    """
+    if by_middles:
+        way = between_middles(of_edges, w)
+    elif of_edges:
+        way = between_edges(w)
+    else:
+        way = between_faces(w)
+    return unit_lanes(way)
 
 
 @block_kernel
-def keep_near(m: ContactState, found: Long, normal: Float, count: int) -> int:
-    """Keep those of `count` primitives found (c, 2) that do not stay apart, in place and in order, with the planes
-    (c, 3) across their closest points; return their number.
+def keep_near(m: ContactState, of_edges: bool, pair: Int, kept: Int, normal: Float | None) -> int:
+    """Keep those of pairs (c,) of vertices pair (p, 4) that do not stay apart, in place and in order; return their
+    number. Their normal (p, 3) becomes that of a plane across their closest points.
+
+    All are evaluated without a branch, since a wrong prediction takes longer.
     """
-    surface = m.surface
-    ways, thickness = m.plan.ways, surface.law[0]
-    candidates, number = 0, 0
-    # All are evaluated without a branch, since a wrong prediction takes longer.
-    for c in range(count):
-        of_edges = found[c, 0] < 0
-        i, j, k, l = vertices_of(m, found[c, 0], found[c, 1])  # noqa: E741
-        apart = apart_at_middles(of_edges, ways, i, j, k, l, thickness)
-        found[candidates, 0], found[candidates, 1] = found[c, 0], found[c, 1]
-        candidates += 0 if apart or not surface.meets[surface.piece[i], surface.piece[l]] else 1
-    for c in range(candidates):
-        e, f = found[c, 0], found[c, 1]
-        i, j, k, l = vertices_of(m, e, f)  # noqa: E741
-        here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
-        n, _ = unit(weigh(closest(e < 0, here).weights, here))
-        if gap_along(e < 0, n, ways, i, j, k, l) > thickness:
-            continue
-        found[number, 0], found[number, 1] = e, f
-        normal[number, 0], normal[number, 1], normal[number, 2] = n
-        number += 1
-    return number
+    ways, thickness, count = m.plan.ways, m.surface.law[0], kept.shape[0]
+    four, across = np.zeros((WIDTH, 4), np.int32), np.empty((3, WIDTH))
+    for by_middles in (True, False):
+        number = 0
+        for c in range(0, count, WIDTH):
+            eight = min(WIDTH, count - c)
+            for k in range(eight):
+                p = kept[c + k]
+                four[k, 0], four[k, 1], four[k, 2], four[k, 3] = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]
+            first, second = gather_rows(ways, four, 0), gather_rows(ways, four, 1)
+            w = first, second, gather_rows(ways, four, 2), gather_rows(ways, four, 3)
+            n = plane_between(of_edges, by_middles, w)
+            apart = lanes_above(gap_along(of_edges, n, w), thickness)
+            for row in range(3):
+                store(across, row, 0, n[row])
+            for k in range(eight):
+                p = kept[c + k]
+                if normal is not None:
+                    normal[p, 0], normal[p, 1], normal[p, 2] = across[0, k], across[1, k], across[2, k]
+                kept[number] = p
+                number += 1 - ((apart >> k) & 1)
+        count = number
+    return int(count)
 
 
 @block_kernel
-def search_part(part: int, m: ContactState, leaves: Long, found: Long, normal: Float, number: Long) -> None:
-    """Find the pairs of a part of the pairs of leaves; found (PARTS r, 2), normal (PARTS r, 3) have room for r in each.
+def search_part(part: int, m: ContactState, leaves: Long, found: Int, number: Long) -> None:
+    """Find the pairs of a part of the pairs of leaves; found (PARTS, 2, r) has room for r in each.
 
     Writes into number (PARTS, 2) their number, or, if negative, the number without room, and the number of pairs of a
     vertex and a triangle.
     """
-    room, count = found.shape[0] // PARTS, leaves.shape[0]
-    mine, across = found[part * room : (part + 1) * room], normal[part * room : (part + 1) * room]
-    met = find_near(m.tree, m.surface.law[0], leaves[part * count // PARTS : (part + 1) * count // PARTS], mine)
-    number[part, 0] = room - met if met > room else keep_near(m, mine, across, met)
-    number[part, 1] = 0
-    for c in range(number[part, 0]):
-        number[part, 1] += 1 if mine[c, 0] >= 0 else 0
+    surface, room, size, listed = m.surface, found.shape[2], 4 * PER_TWO, 0
+    mine = leaves[part * leaves.shape[0] // PARTS : (part + 1) * leaves.shape[0] // PARTS]
+    some, four, kept = np.empty((2, size), np.int32), np.empty((size, 4), np.int32), np.empty(size, np.int32)
+    for of_edges in (False, True):
+        first = 0
+        while first < mine.shape[0] and m.leave[0] == 0:
+            first, met = find_pairs(m.tree, of_edges, mine, first, some, four)
+            for c in range(met):
+                kept[c] = c
+            for q in range(keep_near(m, of_edges, four, kept[:met], None)):
+                c = kept[q]
+                if surface.meets[surface.piece[four[c, 0]], surface.piece[four[c, 3]]]:
+                    if listed < room:
+                        found[part, 0, listed], found[part, 1, listed] = some[0, c], some[1, c]
+                    listed += 1
+        if not of_edges:
+            number[part, 1] = listed
+    number[part, 0] = room - listed if listed > room else listed
 
 
 @block_kernel
-def enlist_part(part: int, m: ContactState, found: Long, normal: Float, number: Long) -> None:
+def enlist_part(part: int, m: ContactState, found: Int, number: Long) -> None:
     """Write a part's pairs to the list, as far as there is room: all pairs of a vertex and a triangle, then all of
     edges, part by part. Pairs of a list then have the same order in the next one, wherever parts begin: forces are
     summed, and constraints solved, in that order, in which cloth at rest is to stay at rest.
     """
     pairs, pair = m.pairs, m.pairs.vertices
-    room, edges, faces = found.shape[0] // PARTS, m.tree.edges.shape[0], m.tree.faces.shape[0]
+    edges, faces = m.tree.edges.shape[0], m.tree.faces.shape[0]
     first, own_faces = [0, number[:, 1].sum()], number[part, 1]
     for before in range(part):
         first[0] += number[before, 1]
         first[1] += number[before, 0] - number[before, 1]
     for c in range(number[part, 0]):
-        at, of = (first[0] + c if c < own_faces else first[1] + c - own_faces), part * room + c
+        of_edges = c >= own_faces
+        at = first[1] + c - own_faces if of_edges else first[0] + c
         if at < pair.shape[0]:
-            e, f = found[of, 0], found[of, 1]
-            pair[at, 0], pair[at, 1], pair[at, 2], pair[at, 3] = vertices_of(m, e, f)
-            pairs.face[at], pairs.reach[at] = -1 if e < 0 else f, -1.0
-            pairs.key[at] = (1 + e) * edges - 1 - f if e < 0 else e * faces + f
-            for row in range(3):
-                pairs.normal[at, row] = normal[of, row]
+            e, f = int(found[part, 0, c]), int(found[part, 1, c])
+            pair[at, 0], pair[at, 1], pair[at, 2], pair[at, 3] = vertices_of(m.tree, of_edges, e, f)
+            pairs.face[at], pairs.reach[at] = -1 if of_edges else f, -1.0
+            pairs.key[at] = -e * edges - 1 - f if of_edges else e * faces + f
 
 
-search_parts = over_blocks(search_part, "m, leaves, found, normal, number", order=IN_TURN)
-enlist_parts = over_blocks(enlist_part, "m, found, normal, number", order=IN_TURN)
+search_parts = over_blocks(search_part, "m, leaves, found, number", order=IN_TURN)
+enlist_parts = over_blocks(enlist_part, "m, found, number", order=IN_TURN)
 
 
 @block_kernel
 def search(m: ContactState, threads: int | None) -> None:
     """List the pairs by the tree, which is already fitted to m.plan.ways."""
-    leaves = near_leaves(m.tree.boxes, m.surface.law[0], m.bodies.local.shape[0] > 0)
+    leaves = near_leaves(m.tree, m.bodies.local.shape[0] > 0)
     number, room = np.empty((PARTS, 2), np.int64), 24 * m.tree.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
+        found = np.empty((PARTS, 2, room), np.int32)
+        search_parts(m, leaves, found, number, PARTS, threads)
         if m.leave[0] != 0:
-            m.counts[LISTED] = m.counts[LACKING] = 0
+            m.counts[LISTED] = m.counts[LACKING] = m.counts[WITH_FACES] = 0
             return
-        found, normal = np.empty((PARTS * room, 2), np.int64), np.empty((PARTS * room, 3))
-        search_parts(m, leaves, found, normal, number, PARTS, threads)
-        lacking, total = 0, 0
+        lacking, total, of_faces = 0, 0, 0
         for part in range(PARTS):
-            lacking, total = max(lacking, -number[part, 0]), total + number[part, 0]
+            lacking = max(lacking, -number[part, 0])
+            total, of_faces = total + number[part, 0], of_faces + number[part, 1]
         room += lacking
-    enlist_parts(m, found, normal, number, PARTS, threads)
+    enlist_parts(m, found, number, PARTS, threads)
     places = m.pairs.vertices.shape[0]
     m.counts[LISTED], m.counts[LACKING] = min(total, places), max(0, total - places)
+    m.counts[WITH_FACES] = min(of_faces, places)
 
 
 @block_kernel
 def choose_part(part: int, m: ContactState, number: Long) -> None:
     """Choose near pairs among a part of the listed ones; write them into `near` from the part's first place on."""
-    pairs, anchored, thickness, ways = m.pairs, m.anchored, m.surface.law[0], m.plan.ways
-    pair, of, normal, near = pairs.vertices, pairs.face, pairs.normal, pairs.near
-    first, end = part * m.counts[LISTED] // PARTS, (part + 1) * m.counts[LISTED] // PARTS
-    candidates_end = first
-    # Without a branch for each, since a wrong prediction takes longer than the evaluation.
+    pairs, anchored, near, listed = m.pairs, m.anchored, m.pairs.near, m.counts[LISTED]
+    first, end = part * listed // PARTS, (part + 1) * listed // PARTS
+    middle = max(first, min(end, m.counts[WITH_FACES]))
     for p in range(first, end):
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        apart = apart_at_middles(of[p] < 0, ways, i, j, k, l, thickness)
-        anchored[p] &= not apart
-        near[candidates_end] = p
-        candidates_end += 0 if apart else 1
-    chosen = first
-    for q in range(first, candidates_end):
-        p = near[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        here = (begin_of(ways, i), begin_of(ways, j), begin_of(ways, k), begin_of(ways, l))
-        n, _ = unit(weigh(closest(of[p] < 0, here).weights, here))
-        if gap_along(of[p] < 0, n, ways, i, j, k, l) > thickness:
-            anchored[p] = False
-            continue
-        normal[p, 0], normal[p, 1], normal[p, 2] = n
-        if pairs.reach[p] < 0.0:
-            measure(m, p)
-        near[chosen] = p
+        near[p] = p
+    chosen = first + keep_near(m, False, pairs.vertices, near[first:middle], pairs.normal)
+    for q in range(middle, middle + keep_near(m, True, pairs.vertices, near[middle:end], pairs.normal)):
+        near[chosen] = near[q]
         chosen += 1
+    q = first
+    for p in range(first, end):
+        is_near = q < chosen and near[q] == p
+        anchored[p] &= is_near
+        q += int(is_near)
+    for q in range(first, chosen):
+        if pairs.reach[near[q]] < 0.0:
+            measure(m, near[q])
     number[part] = chosen - first
 
 
@@ -295,8 +377,8 @@ def make_list(m: ContactState, threads: int | None) -> None:
     """List the pairs for the present plan, without moving anchors."""
     plan = m.plan
     x, u, spread = plan.reference[:3], plan.motion[:3], plan.spread[0]
-    fit_tree(m.tree, x, u, spread)
     lay_out(x, u, spread, plan.ways)
+    fit_tree(m.tree, plan.ways, m.surface.law[0])
     copy_rows(x, plan.listed[:3])
     copy_rows(u, plan.listed[6:9])
     copy_rows(plan.spread[:1], plan.listed[12:13])

@@ -17,9 +17,10 @@ from nuno_schemas.vectors import vertex_areas
 
 # Indices of the arrays of ContactState that hold single numbers.
 
-LISTED, NEAR, LACKING, LISTS_MADE, CHOICES, SHARED, CLOSE, TOUCHING = range(8)
+LISTED, NEAR, LACKING, LISTS_MADE, CHOICES, SHARED, CLOSE, TOUCHING, WITH_FACES = range(9)
 """Indices of ContactState.counts: listed pairs; near ones; pairs without room in the list; the number of lists made,
-and of choices of near pairs; the choice that is assigned to blocks; close pairs; touching pairs."""
+and of choices of near pairs; the choice that is assigned to blocks; close pairs; touching pairs; listed pairs of a
+vertex and a triangle, which stand first."""
 CUT, HELD_CUT, STEPS, LEFT_OUT, STILL = range(5)
 """Indices of ContactState.so_far: shortened steps of vertices, and of held ones; steps; pairs that had no room in a
 list; steps in which nothing moved for that reason."""
@@ -165,7 +166,7 @@ class CandidatePlan(NamedTuple):
     zeros: Float
     """(3, n)"""
     ways: Float
-    """(n, 8) scratch: see nuno_contact.offset.candidate_pairs.lay_out"""
+    """(n, 8) scratch: see nuno_contact.offset.tree.lay_out"""
 
 
 @by_reference
@@ -236,7 +237,7 @@ class ContactState(NamedTuple):
     span: Float
     """(1,) of the interval [s]"""
     counts: Long
-    """(8,) counts: see LISTED"""
+    """(9,) counts: see LISTED"""
     so_far: Long
     """(5,) counts of the whole run: see CUT; part of the state"""
     leave: Long
@@ -396,7 +397,7 @@ def make_contact_state(
         way=np.zeros((3, wide)),
         clock=np.zeros(7),
         span=np.zeros(1),
-        counts=np.zeros(8, np.int64),
+        counts=np.zeros(9, np.int64),
         so_far=np.zeros(5, np.int64),
         leave=np.zeros(1, np.int64),
     )

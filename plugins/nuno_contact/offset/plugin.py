@@ -330,7 +330,7 @@ def find_pinched(m: ContactState) -> tuple[Int, Float]:
         x = np.ascontiguousarray(m.last.T)
         meets[cloth:, cloth:] = ~np.eye(len(m.bodies.law), dtype=bool)
         # In separate boxes: callers may ask while the tree is in use.
-        own = {name: getattr(m.tree, name).copy() for name in ("boxes", "face_boxes", "edge_boxes", "vertex_boxes")}
+        own = {name: getattr(m.tree, name).copy() for name in ("nodes", "node_boxes", "way", "row", "box")}
         edge, face = find_crossings(m.tree._replace(**own), x, surface.piece, meets)
         if len(edge):
             ends = np.unique(np.concatenate([m.tree.edges[edge].ravel(), m.tree.faces[face].ravel()]))

@@ -126,16 +126,6 @@ def between(of_edges: bool, n: Vector, p: Corners) -> tuple[float, float]:
 
 
 @forced_inline
-def spread_between(of_edges: bool, n: Vector, p: Corners, r: Four) -> float:
-    """Return how far apart a plane across n keeps a pair whose vertices may be r from their places."""
-    a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
-    gap: float = a - r[0] - max(max(b + r[1], c + r[2]), d + r[3])
-    if of_edges:
-        gap = min(a - r[0], b - r[1]) - max(c + r[2], d + r[3])
-    return gap
-
-
-@forced_inline
 def unit(v: Vector) -> tuple[Vector, float]:
     """Return v at length 1, and its length; v itself if that is 0."""
     length = math.sqrt(dot(v, v))

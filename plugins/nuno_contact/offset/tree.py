@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nuno_geometry.normals import edge_numbers
-from nuno_geometry.poses import Index, Vector
 from nuno_kernels import block_kernel, forced_inline
+from nuno_kernels.boxes import NUMBERS, SIXTEEN, having, meeting, stand_up, unite, write_chosen
 from nuno_kernels.compilation.reference import by_reference
-from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load, lower, splat
+from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load, lower, splat, store
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 
@@ -18,64 +20,99 @@ from nuno_schemas.fabric import Float, Int
 #
 # Triangles are cut at medians along the widest axis of their centroids at the start, so that a leaf is a patch of
 # neighbours and stays one however the cloth folds: a sheet hardly stretches. Bodies, where there are any, are the
-# second half of the tree. Each vertex and each edge is owned by the first leaf that has it, so that a pair of
-# primitives is looked at once.
+# last leaves. Each vertex and each edge is owned by the first leaf that has it, so that a pair of primitives is looked
+# at once. Eight nodes have one parent.
+#
+# Two kinds of boxes: of nodes, eight float64 side by side; of primitives, sixteen whole numbers
+# (nuno_kernels.boxes), rounded outward. Pairs of primitives are looked at in leaves that come near to each other, for
+# which numbers modulo 2**16 of a small unit are enough, wherever the leaves are.
 #
 # Not chosen: a grid of cells, whose size suits one length of edges; boxes rebuilt by place, which separate folds that
-# touch a little better and cost a sort each time.
+# touch a little better and cost a sort each time; bits of the primitives that share a vertex, known beforehand for all
+# leaves side by side, which save a seventh of a list's time but need a table of leaves and a longer way to make it.
 
-LEAF = 8
-"""triangles of a leaf at most"""
+FACES, VERTICES, EDGES = range(3)
+"""kinds of primitives, columns of MovingTree.start"""
+Shorts = NDArray[np.int16]
 
 
 @by_reference
 class MovingTree(NamedTuple):
-    """Of f triangles, e edges and n vertices: a complete binary tree of M leaves, M a power of two; node k has the
-    children 2 k + 1 and 2 k + 2, the leaves are the last M nodes.
+    """Of f triangles, e edges and n vertices, in M leaves of sixteen triangles each, but for the last of cloth, and of
+    bodies; N nodes, eights of them side by side.
 
-    boxes  (2 M - 1, 12) lowest and highest place [m], lowest and highest motion [m]; lowest above highest where empty
-    faces (f, 3), edges (e, 2), vertices (n, 1)  of which vertices
-    face_start, edge_start, vertex_start (M + 1,)  bounds of what each leaf owns in
-    face, edge, vertex (eights, 8)  numbers, leaf by leaf, each leaf's filled up to eights with -1
-    face_boxes, edge_boxes, vertex_boxes (eights, 96)  their boxes as above, the eight of them number by number: rows as
-    long as the mesh might drive each other from the cache
+    faces (f, 3), edges (e, 2)  of which vertices
+    start (M, 4)  first of the sixteens of each kind that each leaf owns, one after the other, and their end
+    of_cloth (1,)  how many leaves are of cloth
+    number (s, 16)  of the primitives of each sixteen, -1 where it is not full
+    filled (s,)  bits of those that there are
+    corner (s, 48)  vertices of each primitive, some twice: the first of the sixteen, the second, the third
+    level (h + 1,)  first of the eights of each level of nodes, leaves first
+
+    The rest are boxes; lowest above highest where a node is empty:
+    nodes (N, 16)  lowest place, and where that goes [m], two numbers that mean nothing, the same of the highest
+    node_boxes (N / 8, 96)  eights of them, number by number
+    way (n, 16), row (16 s + M, 16), box (s, 192)  in whole numbers: of vertices, of primitives and leaves, and sixteens
+    of primitives number by number
     """
 
-    boxes: Float
     faces: Int
     edges: Int
-    vertices: Int
-    face_start: Int
-    face: Int
-    edge_start: Int
-    edge: Int
-    vertex_start: Int
-    vertex: Int
-    face_boxes: Float
-    edge_boxes: Float
-    vertex_boxes: Float
+    start: Int
+    of_cloth: Int
+    number: Int
+    filled: Int
+    corner: Int
+    level: Int
+    nodes: Float
+    node_boxes: Float
+    way: Shorts
+    row: Shorts
+    box: Shorts
 
 
 def make_tree(x: Float, faces: Int, of_cloth: int | None = None) -> MovingTree:
     """Return the tree of faces (f, 3) between vertices x (n, 3); those after the first `of_cloth` are of bodies."""
     numbers, edges = edge_numbers(faces)
-    centre = x[faces].mean(axis=1)
-    parts: list[Any] = [np.arange(len(faces))]
-    if of_cloth is not None and of_cloth < len(faces):
-        parts = [parts[0][:of_cloth], parts[0][of_cloth:]]
-    while max(map(len, parts)) > LEAF:
-        parts = [half for part in parts for half in _halves(part, centre)]
-    leaves = len(parts)
-    leaf_of = np.empty(len(faces), np.int64)
+    centre, cloth = x[faces].mean(axis=1), len(faces) if of_cloth is None else of_cloth
+    patches = _patches(np.arange(cloth), centre)
+    parts = patches + _patches(np.arange(cloth, len(faces)), centre)
+    leaf_of, leaves = np.empty(len(faces), np.int64), len(parts)
     for leaf, part in enumerate(parts):
         leaf_of[part] = leaf
-    boxes = np.empty((2 * leaves - 1, 12))
-    face_start, face = _in_eights(*_owned(leaf_of, np.arange(len(faces)), leaves))
-    edge_start, edge = _in_eights(*_owned(leaf_of.repeat(3), numbers.ravel(), leaves))
-    vertex_start, vertex = _in_eights(*_owned(leaf_of.repeat(3), faces.ravel(), leaves))
-    rooms = [np.empty((len(eights), 12 * WIDTH)) for eights in (face, edge, vertex)]
-    faces, vertices = np.ascontiguousarray(faces, np.int32), np.arange(len(x), dtype=np.int32)[:, None]
-    return MovingTree(boxes, faces, edges, vertices, face_start, face, edge_start, edge, vertex_start, vertex, *rooms)
+    # Of triangles, vertices and edges: the leaves that have them, their numbers, and the vertices of each.
+    three, corners = leaf_of.repeat(3), (faces, np.arange(len(x))[:, None], edges[:, [0, 1, 1]])
+    kinds = (leaf_of, np.arange(len(faces))), (three, faces.ravel()), (three, numbers.ravel())
+    owned = [_owned(leaf, number, leaves) for leaf, number in kinds]
+    count = np.stack([-(-np.diff(bounds) // SIXTEEN) for bounds, _ in owned], axis=1)
+    ends = np.cumsum(count.ravel()).reshape(count.shape)
+    start = np.column_stack([ends[:, 0] - count[:, 0], ends])
+    number = np.full((ends[-1, -1], SIXTEEN), -1, np.int32)
+    corner = faces[[part[0] for part in parts]].repeat(SIXTEEN * count.sum(axis=1), axis=0)
+    for kind, (bounds, own) in enumerate(owned):
+        place = np.arange(len(own)) + np.repeat(SIXTEEN * start[:, kind] - bounds[:-1], np.diff(bounds))
+        number.flat[place], corner[place] = own, corners[kind][own]
+    level = [0, -(-leaves // WIDTH)]
+    while level[-1] - level[-2] > 1:
+        level.append(level[-1] - (level[-2] - level[-1]) // WIDTH)
+    nodes = np.empty((WIDTH * level[-1], 2 * WIDTH))
+    nodes[:, :WIDTH], nodes[:, WIDTH:] = np.inf, -np.inf
+    corner = corner.reshape(-1, SIXTEEN, 3).swapaxes(1, 2).reshape(-1, 3 * SIXTEEN)
+    return MovingTree(
+        np.ascontiguousarray(faces, np.int32), edges, start.astype(np.int32), np.array([len(patches)], np.int32),
+        number, ((number >= 0) @ (1 << np.arange(SIXTEEN))).astype(np.int32), corner.astype(np.int32, order="C"),
+        np.array(level, np.int32), nodes, np.empty((level[-1], 12 * WIDTH)), np.empty((len(x), SIXTEEN), np.int16),
+        np.empty((number.size + leaves, SIXTEEN), np.int16), np.empty((len(number), NUMBERS * SIXTEEN), np.int16),
+    )  # fmt: skip
+
+
+def _patches(part: Any, centre: Float) -> list[Any]:
+    """Cut triangles at medians along the widest axis into patches of sixteen, and one of the rest."""
+    if len(part) <= SIXTEEN:
+        return [np.sort(part)] if len(part) else []
+    axis, half = int(np.ptp(centre[part], axis=0).argmax()), SIXTEEN * -(-len(part) // (2 * SIXTEEN))
+    order = part[np.argsort(centre[part, axis], kind="stable")]
+    return _patches(order[:half], centre) + _patches(order[half:], centre)
 
 
 def adjacent_faces(faces: Int) -> Int:
@@ -97,15 +134,6 @@ def rings(edges: Int, n: int) -> tuple[Int, Int]:
     return start, np.ascontiguousarray(both[order, 1])
 
 
-def _halves(part: Any, centre: Float) -> tuple[Any, Any]:
-    """Cut a set of triangles at the median along the widest axis."""
-    if len(part) < 2:
-        return part, part[:0]
-    axis = int(np.ptp(centre[part], axis=0).argmax())
-    order = part[np.argsort(centre[part, axis], kind="stable")]
-    return order[: (len(order) + 1) // 2], order[(len(order) + 1) // 2 :]
-
-
 def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
     """Return the bounds (M + 1,) and numbers of the primitives that each leaf is the first to have."""
     order = np.lexsort((leaf, number))
@@ -114,15 +142,6 @@ def _owned(leaf: Any, number: Any, leaves: int) -> tuple[Int, Int]:
     by_leaf = np.lexsort((kept, owner))
     bounds = np.searchsorted(owner[by_leaf], np.arange(leaves + 1))
     return bounds.astype(np.int32), kept[by_leaf].astype(np.int32)
-
-
-def _in_eights(start: Int, number: Int) -> tuple[Int, Int]:
-    """Pad each leaf's numbers with -1 to whole eights."""
-    count = np.diff(start)
-    eights = np.concatenate([[0], np.cumsum(-(-count // WIDTH))])
-    filled = np.full((eights[-1], WIDTH), -1, np.int32)
-    filled.flat[np.arange(len(number)) - np.repeat(start[:-1] - WIDTH * eights[:-1], count)] = number
-    return eights.astype(np.int32), filled
 
 
 @forced_inline
@@ -138,42 +157,87 @@ def more(a: float, b: float) -> float:
 
 
 @block_kernel
-def fit_boxes(eights: Int, of: Int, x: Float, motion: Float, spread: Float, boxes: Float) -> None:
-    """Fit boxes (g, 96) to eights (g, 8) of primitives of vertices of[number]; -1 is nowhere."""
-    for g in range(eights.shape[0]):
-        for axis in range(3):
-            at, along, box = x[axis], motion[axis], boxes[g, axis * WIDTH :]
-            for lane in range(WIDTH):
-                number, low, high, back, on = eights[g, lane], np.inf, -np.inf, np.inf, -np.inf
-                for corner in range(of.shape[1] if number >= 0 else 0):
-                    v = np.uint64(of[number, corner])
-                    low, high = less(low, at[v] - spread[v]), more(high, at[v] + spread[v])
-                    back, on = less(back, along[v]), more(on, along[v])
-                box[lane], box[lane + 3 * WIDTH], box[lane + 6 * WIDTH], box[lane + 9 * WIDTH] = low, high, back, on
+def lay_out(x: Float, u: Float, spread: Float, ways: Float) -> None:
+    """Write into ways (n, 8), one cache line for each vertex: its position, its end after u (3, n), and its spread."""
+    for i in range(x.shape[1]):
+        for row in range(3):
+            ways[i, row], ways[i, 3 + row] = x[row, i], x[row, i] + u[row, i]
+        ways[i, 6] = spread[i]
 
 
 @block_kernel
-def fit_tree(tree: MovingTree, x: Float, motion: Float, spread: Float) -> None:
-    """Fit the boxes to vertices x (3, n), each within spread (n,) [m], that go motion (3, n) from there."""
-    boxes, face_start, face_boxes = tree.boxes, tree.face_start, tree.face_boxes
-    fit_boxes(tree.face, tree.faces, x, motion, spread, face_boxes)
-    fit_boxes(tree.edge, tree.edges, x, motion, spread, tree.edge_boxes)
-    fit_boxes(tree.vertex, tree.vertices, x, motion, spread, tree.vertex_boxes)
-    leaves = face_start.shape[0] - 1
-    for leaf in range(leaves):
-        for row in range(12):
-            lowest = row % 6 < 3
-            value = np.inf if lowest else -np.inf
-            for g in range(face_start[leaf], face_start[leaf + 1]):
-                for lane in range(WIDTH):
-                    own = face_boxes[g, row * WIDTH + lane]
-                    value = less(value, own) if lowest else more(value, own)
-            boxes[leaves - 1 + leaf, row] = value
-    for node in range(leaves - 2, -1, -1):
-        a, b = 2 * node + 1, 2 * node + 2
-        for row in range(12):
-            lowest = row % 6 < 3
-            boxes[node, row] = less(boxes[a, row], boxes[b, row]) if lowest else more(boxes[a, row], boxes[b, row])
+def fit_nodes(tree: MovingTree, ways: Float, more_room: float) -> None:
+    """Fit the nodes' boxes to vertices' ways (n, 8), see lay_out, with more room [m] round each than its spread."""
+    nodes, boxes, start, corner, level = tree.nodes, tree.node_boxes, tree.start, tree.corner, tree.level
+    for leaf in range(start.shape[0]):
+        low, high = splat(np.inf), splat(-np.inf)
+        for k in range(3 * SIXTEEN):
+            v = np.int64(corner[start[leaf, FACES], k])
+            way, room = load(ways, v, 0), splat(ways[v, 6] + more_room)
+            low, high = lower(way - room, low), higher(way + room, high)
+        store(nodes, leaf, 0, low)
+        store(nodes, leaf, WIDTH, high)
+    for h in range(1, level.shape[0] - 1):
+        for g in range(level[h - 1], level[h]):
+            low, high = splat(np.inf), splat(-np.inf)
+            for node in range(WIDTH * g, WIDTH * (g + 1)):
+                low, high = lower(load(nodes, node, 0), low), higher(load(nodes, node, WIDTH), high)
+            parent = WIDTH * level[h] + g - level[h - 1]
+            store(nodes, parent, 0, low)
+            store(nodes, parent, WIDTH, high)
+    for g in range(boxes.shape[0]):
+        for lane in range(WIDTH):
+            for k in range(6):
+                boxes[g, k * WIDTH + lane] = nodes[WIDTH * g + lane, k]
+                boxes[g, (k + 6) * WIDTH + lane] = nodes[WIDTH * g + lane, WIDTH + k]
+
+
+LARGEST, FINEST = 32000.0, 1e12
+"""largest difference in whole numbers; most units in the farthest coordinate, so that float64 has them exactly"""
+
+
+@block_kernel
+def units_in_a_metre(tree: MovingTree, ways: Float) -> float:
+    """Return how many units a metre has in whole numbers.
+
+    Along each axis, boxes of two leaves that come near to each other are as far apart, all along the way, as they are
+    long and part meanwhile, at most: this is the largest difference.
+    """
+    widest, farthest, differing = 0.0, 1.0, 0.0
+    for leaf in range(tree.start.shape[0]):
+        for k in range(6):
+            low, high = tree.nodes[leaf, k], tree.nodes[leaf, WIDTH + k]
+            widest, farthest = more(high - low, widest), more(more(-low, high), farthest)
+    for k in range(3):
+        back, on = np.inf, -np.inf
+        for i in range(ways.shape[0]):
+            motion = ways[i, 3 + k] - ways[i, k]
+            back, on = less(motion, back), more(motion, on)
+        differing = more(on - back, differing)
+    return less(LARGEST / (2.0 * widest + differing), FINEST / farthest)
+
+
+@block_kernel
+def fit_tree(tree: MovingTree, ways: Float, radius: float) -> None:
+    """Fit the boxes to vertices' ways (n, 8), see lay_out, so that boxes of what comes within `radius` [m] meet."""
+    way, row, box, start, corner = tree.way, tree.row, tree.box, tree.start, tree.corner
+    fit_nodes(tree, ways, 0.5 * radius)
+    units = units_in_a_metre(tree, ways)
+    for i in range(ways.shape[0]):
+        room = ways[i, 6] + 0.5 * radius
+        for k in range(6):
+            # One unit more on each side, for what rounding of the products may lose.
+            way[i, k] = math.floor((ways[i, k] - room) * units) - 1
+            way[i, 6 + k] = math.floor((ways[i, k] + room) * -units) - 1
+    for g in range(box.shape[0]):
+        for k in range(SIXTEEN):
+            unite(way, corner[g, k], corner[g, k + SIXTEEN], corner[g, k + 2 * SIXTEEN], row, SIXTEEN * g + k)
+        stand_up(row, SIXTEEN * g, box, g)
+    for leaf in range(start.shape[0]):
+        first, own = SIXTEEN * start[leaf, FACES], tree.number.size + leaf
+        unite(row, first, first + 1, first + 2, row, own)
+        for place in range(first + 3, first + SIXTEEN):
+            unite(row, own, place, place, row, own)
 
 
 # The list of pairs that may come near: all that could be within a radius of each other over a window of time.
@@ -184,171 +248,122 @@ def fit_tree(tree: MovingTree, x: Float, motion: Float, spread: Float) -> None:
 # the while. With R = h + 2 b a pair that is left out stays farther apart than h while no vertex is more than b away
 # from its expected place. Cloth that moves along together needs no new list, however fast it moves.
 #
+# Boxes are widened by R / 2 and by b: where they do not meet, such a plane lies across an axis. Whole numbers are
+# rounded outward.
+#
 # Most lists in the field (Verlet 1967) are made for points at rest, and used up by common motion.
 
-Box = tuple[Vector, Vector, Vector, Vector]
-"""lowest and highest place, lowest and highest motion"""
-DEPTH = 512
-"""capacity of the stack of pairs of nodes"""
-HITS = (3 * LEAF) * (3 * LEAF // WIDTH + 1)
-"""most edges of a leaf times eights of edges of another"""
+PER_TWO = (3 * SIXTEEN) ** 2
+"""most pairs of primitives of one kind in two leaves"""
 
 
 @forced_inline
-def nodes_apart(boxes: Float, a: int, b: int, radius: float) -> bool:
-    """Whether all of two nodes stays farther apart than `radius` along some axis."""
+def near_nodes(nodes: Float, node: int, boxes: Float, g: int) -> int:
+    """Return the bits of those of an eight of nodes that may meet one."""
+    gap = splat(-np.inf)
     for k in range(3):
-        if boxes[b, k] - boxes[a, 3 + k] + less(boxes[b, 6 + k] - boxes[a, 9 + k], 0.0) > radius:
-            return True
-        if boxes[a, k] - boxes[b, 3 + k] + less(boxes[a, 6 + k] - boxes[b, 9 + k], 0.0) > radius:
-            return True
-    return False
-
-
-@forced_inline
-def near_lanes(box: Box, boxes: Float, g: Index, radius: float) -> int:
-    """Return the bits of those of an eight of boxes (eights, 96) that may come within `radius` of a box."""
-    gap, none = splat(-np.inf), splat(0.0)
-    for k in range(3):
-        low, high, back, on = box[0][k], box[1][k], box[2][k], box[3][k]
-        gap = higher(load(boxes, g, k * WIDTH) - high + lower(load(boxes, g, (k + 6) * WIDTH) - on, none), gap)
-        gap = higher(low - load(boxes, g, (k + 3) * WIDTH) + lower(back - load(boxes, g, (k + 9) * WIDTH), none), gap)
-    return int(lanes_up_to(gap, radius))
-
-
-@forced_inline
-def box_of(boxes: Float, g: Index, lane: int) -> Box:
-    """Return one of an eight of boxes."""
-    return _three(boxes, g, lane, 0), _three(boxes, g, lane, 3), _three(boxes, g, lane, 6), _three(boxes, g, lane, 9)
-
-
-@forced_inline
-def _three(boxes: Float, g: Index, lane: int, number: int) -> Vector:
-    """Return three of its numbers."""
-    p = np.uint64(lane + number * WIDTH)
-    return boxes[g, p], boxes[g, p + np.uint64(WIDTH)], boxes[g, p + np.uint64(2 * WIDTH)]
+        begin, end = load(boxes, g, k * WIDTH), load(boxes, g, (k + 3) * WIDTH)
+        gap = higher(lower(begin - nodes[node, WIDTH + k], end - nodes[node, WIDTH + 3 + k]), gap)
+        begin, end = load(boxes, g, (k + 6) * WIDTH), load(boxes, g, (k + 9) * WIDTH)
+        gap = higher(lower(nodes[node, k] - begin, nodes[node, 3 + k] - end), gap)
+    return int(lanes_up_to(gap, 0.0))
 
 
 @block_kernel
-def find_leaves(boxes: Float, radius: float, bodies: bool, found: Long) -> int:
-    """Write pairs (p, 2) of leaves that may come near, as far as there is room; return their number. Of a tree with
-    `bodies` no pair is of two bodies.
+def find_leaves(tree: MovingTree, bodies: bool, found: Long) -> int:
+    """Write pairs of leaves that may come near, the second not before the first, as far as there is room, into
+    found (p, 2); return their number. Of a tree with `bodies` no pair is of two bodies.
     """
-    waiting = np.empty((DEPTH, 2), np.int64)
-    inner = boxes.shape[0] // 2
-    waiting[0, 0], waiting[0, 1] = 0, 0
-    top, number = 1, 0
-    if bodies:
-        waiting[0, 0], waiting[0, 1], waiting[1, 0], waiting[1, 1] = 1, 1, 1, 2
-        top = 2
-    while top > 0:
-        top -= 1
-        a, b = waiting[top, 0], waiting[top, 1]
-        if a != b and nodes_apart(boxes, a, b, radius):
-            continue
-        if a >= inner:
+    nodes, boxes, level, top, number = tree.nodes, tree.node_boxes, tree.level, tree.level.shape[0] - 2, 0
+    rest, eight = np.zeros(top + 1, np.int64), np.zeros(top + 1, np.int64)
+    for a in range(tree.of_cloth[0] if bodies else tree.start.shape[0]):
+        h, eight[top] = top, level[top]
+        rest[top] = near_nodes(nodes, a, boxes, level[top])
+        while h <= top:
+            if rest[h] == 0:
+                h += 1
+                continue
+            b = WIDTH * (eight[h] - level[h]) + first_lane(rest[h])
+            rest[h] &= rest[h] - 1
+            if ((b + 1) << (3 * h)) <= a:
+                continue
+            if h > 0:
+                h -= 1
+                eight[h] = level[h] + b
+                rest[h] = near_nodes(nodes, a, boxes, eight[h])
+                continue
             if number < found.shape[0]:
-                found[number, 0], found[number, 1] = a - inner, b - inner
+                found[number, 0], found[number, 1] = a, b
             number += 1
-        # All leaves are as deep: both are inner nodes.
-        elif a == b:
-            waiting[top, 0], waiting[top, 1] = 2 * a + 1, 2 * a + 1
-            waiting[top + 1, 0], waiting[top + 1, 1] = 2 * a + 1, 2 * a + 2
-            waiting[top + 2, 0], waiting[top + 2, 1] = 2 * a + 2, 2 * a + 2
-            top += 3
-        else:
-            for k in range(4):
-                waiting[top, 0], waiting[top, 1] = 2 * a + 1 + k % 2, 2 * b + 1 + k // 2
-                top += 1
     return number
 
 
 @block_kernel
-def near_leaves(boxes: Float, radius: float, bodies: bool) -> Long:
+def near_leaves(tree: MovingTree, bodies: bool) -> Long:
     """Return pairs (p, 2) of leaves that may come near; see find_leaves."""
-    found = np.empty((4 * boxes.shape[0], 2), np.int64)
-    number = find_leaves(boxes, radius, bodies, found)
+    found = np.empty((16 * tree.start.shape[0], 2), np.int64)
+    number = find_leaves(tree, bodies, found)
     if number > found.shape[0]:
         found = np.empty((number, 2), np.int64)
-        find_leaves(boxes, radius, bodies, found)
+        find_leaves(tree, bodies, found)
     return found[:number]
 
 
 @forced_inline
-def node_box(nodes: Float, node: Index) -> Box:
-    """Return the box of a node."""
-    return (
-        (nodes[node, 0], nodes[node, 1], nodes[node, 2]), (nodes[node, 3], nodes[node, 4], nodes[node, 5]),
-        (nodes[node, 6], nodes[node, 7], nodes[node, 8]), (nodes[node, 9], nodes[node, 10], nodes[node, 11]),
-    )  # fmt: skip
-
-
-@forced_inline
-def meet_eights(
-    node: Box, boxes_a: Float, start_a: Int, boxes: Float, start: Int, a: Index, b: Index, radius: float, hits: Long
-) -> int:
-    """Write into hits (c, 4): eight and lane of each primitive of leaf a that comes near the box `node` of leaf b, an
-    eight of b, and the bits of its primitives whose boxes come near; return their number.
-
-    Written without a branch on whether any does, since a wrong prediction takes as long as ten tests.
+def write_meeting(tree: MovingTree, one: int, kind: int, two: int, other: int, once: bool, found: Int, at: int) -> int:
+    """Write vertices or edges of leaf `one`, and those of another kind of leaf `two`, without a common vertex, whose
+    boxes they meet, into found (2, c) from column `at` on; return the column after. If `once`, only of later places.
     """
-    number = np.uint64(0)
-    for g in range(np.uint64(start_a[a]), np.uint64(start_a[a + 1])):
-        ours = near_lanes(node, boxes_a, g, radius)
+    row, box, number, filled, start, corner = tree.row, tree.box, tree.number, tree.filled, tree.start, tree.corner
+    own = np.uint64(number.size + two)
+    first, end = np.uint64(start[two, other]), np.uint64(start[two, other + 1])
+    for s in range(np.uint64(start[one, kind]), np.uint64(start[one, kind + 1])):
+        ours = meeting(row, own, box, s) & filled[s]
         while ours != 0:
-            lane = first_lane(ours)
+            lane = np.uint64(first_lane(ours))
             ours &= ours - 1
-            box = box_of(boxes_a, g, lane)
-            for q in range(np.uint64(start[b]), np.uint64(start[b + 1])):
-                bits = near_lanes(box, boxes, q, radius)
-                hits[number, 0], hits[number, 1], hits[number, 2], hits[number, 3] = g, lane, q, bits
-                number += np.uint64(bits != 0)
-    return int(number)
+            i, j = corner[s, lane], corner[s, lane + np.uint64(SIXTEEN)]
+            for g in range(first, end):
+                met = meeting(row, np.uint64(SIXTEEN) * s + lane, box, g) & filled[g] & ~having(corner, g, i, j)
+                if once:
+                    met &= (-2 << lane) if g == s else -int(g > s)
+                at = write_chosen(met, number, g, number[s, lane], found, at)
+    return at
 
 
 @forced_inline
-def find_faces(a: int, b: int, tree: MovingTree, radius: float, hits: Long, found: Long, number: int) -> int:
-    """Write vertices of leaf a and triangles of leaf b whose boxes come near into found (c, 2) from `number` on."""
-    faces, face, vertex, node = tree.faces, tree.face, tree.vertex, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
-    met = meet_eights(node, tree.vertex_boxes, tree.vertex_start, tree.face_boxes, tree.face_start, a, b, radius, hits)
-    for h in range(met):
-        v, bits = vertex[hits[h, 0], hits[h, 1]], hits[h, 3]
-        while bits != 0:
-            f = face[hits[h, 2], first_lane(bits)]
-            bits &= bits - 1
-            if number < found.shape[0]:
-                found[number, 0], found[number, 1] = v, f
-            number += int((v != faces[f, 0]) & (v != faces[f, 1]) & (v != faces[f, 2]))
-    return number
-
-
-@forced_inline
-def find_edges(a: int, b: int, tree: MovingTree, radius: float, hits: Long, found: Long, number: int) -> int:
-    """Write edges e < o of two leaves likewise, as -1 - e and o."""
-    edges, edge, node = tree.edges, tree.edge, node_box(tree.boxes, tree.boxes.shape[0] // 2 + b)
-    met = meet_eights(node, tree.edge_boxes, tree.edge_start, tree.edge_boxes, tree.edge_start, a, b, radius, hits)
-    for h in range(met):
-        e, bits = np.int64(edge[hits[h, 0], hits[h, 1]]), hits[h, 3]
-        i, j = edges[e, 0], edges[e, 1]
-        while bits != 0:
-            o = np.int64(edge[hits[h, 2], first_lane(bits)])
-            bits &= bits - 1
-            k, l = edges[o, 0], edges[o, 1]  # noqa: E741
-            if number < found.shape[0]:
-                found[number, 0], found[number, 1] = -1 - min(e, o), max(e, o)
-            number += int((i != k) & (i != l) & (j != k) & (j != l) & ((a != b) | (e < o)))
-    return number
+def vertices_of(tree: MovingTree, of_edges: bool, e: int, f: int) -> tuple[int, int, int, int]:
+    """Return the vertices of edges e and f, or of a vertex e and a triangle f."""
+    if of_edges:
+        return tree.edges[e, 0], tree.edges[e, 1], tree.edges[f, 0], tree.edges[f, 1]
+    return e, tree.faces[f, 0], tree.faces[f, 1], tree.faces[f, 2]
 
 
 @block_kernel
-def find_near(tree: MovingTree, radius: float, leaves: Long, found: Long) -> int:
-    """Write primitives of pairs (p, 2) of leaves whose boxes come near: see find_faces and find_edges. One kind after
-    the other, so that loops over them are predictable.
+def find_pairs(tree: MovingTree, of_edges: bool, leaves: Long, first: int, found: Int, four: Int) -> tuple[int, int]:
+    """Write pairs of edges, or of vertices and triangles, without a common vertex, whose boxes meet, into found (2, c),
+    and their vertices into four (c, 4): those of leaves (p, 2) from the first on, as many as there is room for. Return
+    the next pair of leaves, and the number of pairs. The first edge is of the first leaf, or has a lower number.
     """
-    number, hits = 0, np.empty((HITS, 4), np.int64)
-    for g in range(leaves.shape[0]):
-        for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
-            number = find_faces(leaves[g, turn], leaves[g, 1 - turn], tree, radius, hits, found, number)
-    for g in range(leaves.shape[0]):
-        number = find_edges(leaves[g, 0], leaves[g, 1], tree, radius, hits, found, number)
-    return number
+    at, g = 0, first
+    while g < leaves.shape[0] and at + 2 * PER_TWO <= found.shape[1]:
+        one, two = leaves[g, 0], leaves[g, 1]
+        if of_edges:
+            at = write_meeting(tree, one, EDGES, two, EDGES, one == two, found, at)
+        else:
+            at = write_meeting(tree, one, VERTICES, two, FACES, False, found, at)
+            if one != two:
+                at = write_meeting(tree, two, VERTICES, one, FACES, False, found, at)
+        g += 1
+    for c in range(at):
+        e, f = int(found[0, c]), int(found[1, c])
+        four[c, 0], four[c, 1], four[c, 2], four[c, 3] = vertices_of(tree, of_edges, e, f)
+    return g, at
+
+
+@block_kernel
+def edges_at_faces(tree: MovingTree, one: int, two: int, found: Int) -> int:
+    """Write edges of a leaf and triangles of another whose boxes meet, without a common vertex, into found (2, c);
+    return their number.
+    """
+    return int(write_meeting(tree, one, EDGES, two, FACES, False, found, 0))

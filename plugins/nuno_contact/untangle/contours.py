@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno_contact.offset.tree import MovingTree, fit_tree, make_tree
+from nuno_contact.offset.tree import MovingTree, fit_tree, lay_out, make_tree
 from nuno_geometry.normals import edge_numbers
 from nuno_kernels import block_kernel
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
@@ -97,10 +97,11 @@ def make_cloth(fabric: Fabric, objects: Mapping[str, Int], meets: Bool, bodies: 
     )  # fmt: skip
 
 
-def fit(tree: MovingTree, x: Float) -> Float:
-    """Fit a tree to vertices x (n, 3); return them as (3, n)."""
-    rows = np.ascontiguousarray(x.T)
-    fit_tree(tree, rows, np.zeros_like(rows), np.zeros(len(x)))
+def fit(tree: MovingTree, x: Float, radius: float) -> Float:
+    """Fit a tree to vertices x (n, 3), for pairs within a radius [m]; return them as (3, n)."""
+    rows, ways = np.ascontiguousarray(x.T), np.zeros((len(x), 8))
+    lay_out(rows, np.zeros_like(rows), np.zeros(len(x)), ways)
+    fit_tree(tree, ways, radius)
     return rows
 
 

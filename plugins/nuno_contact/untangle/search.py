@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.tree import HITS, MovingTree, find_near, less, meet_eights, near_leaves, node_box
+from nuno_contact.offset.tree import PER_TWO, MovingTree, edges_at_faces, find_pairs, less, near_leaves
 from nuno_contact.untangle.contours import Cloth, Long, fit
 from nuno_geometry.check import orient
 from nuno_kernels import block_kernel, kernel
-from nuno_kernels.lanes import first_lane
 from nuno_schemas.fabric import Bool, Float, Int
 
 OVER = 1.05
@@ -61,31 +60,20 @@ def find_through(x: Float, tree: MovingTree, piece: Int, meets: Bool, bodies: bo
     """Write edges and the triangles f that they go through, doubtful ones as -1 - f, into found (c, 2) as far as there
     is room; return their number.
     """
-    number, edges, faces, hits, first = 0, tree.edges, tree.faces, np.empty((HITS, 4), np.int64), len(tree.boxes) // 2
-    leaves = near_leaves(tree.boxes, 0.0, bodies)
+    number, edges, faces, some = 0, tree.edges, tree.faces, np.empty((2, PER_TWO), np.int32)
+    leaves = near_leaves(tree, bodies)
     for g in range(len(leaves)):
         for turn in range(1 if leaves[g, 0] == leaves[g, 1] else 2):
-            one, two = leaves[g, turn], leaves[g, 1 - turn]
-            met = meet_eights(
-                node_box(tree.boxes, first + two), tree.edge_boxes, tree.edge_start, tree.face_boxes, tree.face_start,
-                one, two, 0.0, hits,
-            )  # fmt: skip
-            for h in range(met):
-                e, bits = tree.edge[hits[h, 0], hits[h, 1]], hits[h, 3]
+            for c in range(edges_at_faces(tree, leaves[g, turn], leaves[g, 1 - turn], some)):
+                e, f = some[0, c], some[1, c]
                 i, j = edges[e, 0], edges[e, 1]
-                while bits != 0:
-                    f = tree.face[hits[h, 2], first_lane(bits)]
-                    bits &= bits - 1
-                    shared = False
-                    for k in range(3):
-                        shared |= faces[f, k] == i or faces[f, k] == j
-                    if shared or not meets[piece[i], piece[faces[f, 0]]]:
-                        continue
-                    crossing = passes_through(x, i, j, faces[f])
-                    if crossing != APART:
-                        if number < found.shape[0]:
-                            found[number, 0], found[number, 1] = e, f if crossing == CROSSING else -1 - f
-                        number += 1
+                if not meets[piece[i], piece[faces[f, 0]]]:
+                    continue
+                crossing = passes_through(x, i, j, faces[f])
+                if crossing != APART:
+                    if number < found.shape[0]:
+                        found[number, 0], found[number, 1] = e, f if crossing == CROSSING else -1 - f
+                    number += 1
     return number
 
 
@@ -100,7 +88,7 @@ def with_room(find: Callable[[Long], int], first: int) -> tuple[Long, int]:
 
 def find_crossings(tree: MovingTree, x: Float, piece: Int, meets: Bool, bodies: bool = False) -> tuple[Long, Long]:
     """Return edges (k,) and the triangles (k,) that they go through or touch, of vertices x (n, 3), in order."""
-    fit(tree, x)
+    fit(tree, x, 0.0)
     found, number = with_room(lambda rows: find_through(x, tree, piece, meets, bodies, rows), len(tree.faces))
     found, kept = found[:number], np.ones(number, bool)
     for row in np.flatnonzero(found[:, 1] < 0):
@@ -124,7 +112,7 @@ class Near(NamedTuple):
 
 
 @kernel
-def neighbours(ring_start: Long, ring: Long, pair: Long, of_edges: bool) -> bool:
+def neighbours(ring_start: Long, ring: Long, pair: Int, of_edges: bool) -> bool:
     """Whether an edge joins the two primitives of a pair."""
     first = 2 if of_edges else 1
     for i in range(first):
@@ -161,23 +149,27 @@ class Room(NamedTuple):
 
 
 @block_kernel
-def measure_near(x: Float, tree: MovingTree, gaps: Gaps, found: Long, number: int, room: Room) -> int:
-    """Write pairs among `number` found that are too near into `room`; count them.
+def measure_near(x: Float, tree: MovingTree, gaps: Gaps, leaves: Long, room: Room) -> int:
+    """Write pairs in leaves (p, 2) that are too near into `room`, as far as it goes; return their number."""
+    count, found, four = 0, np.empty((2, 4 * PER_TWO), np.int32), np.empty((4 * PER_TWO, 4), np.int32)
+    for of_edges in (False, True):
+        first = 0
+        while first < len(leaves):
+            first, number = find_pairs(tree, of_edges, leaves, first, found, four)
+            count = measure_some(x, gaps, of_edges, four[:number], room, count)
+    return count
+
+
+@block_kernel
+def measure_some(x: Float, gaps: Gaps, of_edges: bool, found: Int, room: Room, count: int) -> int:
+    """Write pairs found (c, 4) that are too near into `room` from `count` on; return the count after.
 
     Tangled pairs and those of two objects need the gap; others have been near from the start.
     """
     begun, ring_start, ring, piece, meets, bodies, tangled, gap = gaps
     pair, weights, normal, size = room
-    count, four = 0, np.empty(4, np.int64)
-    for r in range(number):
-        e, f = found[r, 0], found[r, 1]
-        of_edges = e < 0
-        if of_edges:
-            e = -1 - e
-            four[0], four[1], four[2], four[3] = tree.edges[e, 0], tree.edges[e, 1], tree.edges[f, 0], tree.edges[f, 1]
-        else:
-            four[0], four[1], four[2], four[3] = e, tree.faces[f, 0], tree.faces[f, 1], tree.faces[f, 2]
-        i, j, k, l = four[0], four[1], four[2], four[3]  # noqa: E741
+    for r in range(found.shape[0]):
+        i, j, k, l = found[r, 0], found[r, 1], found[r, 2], found[r, 3]  # noqa: E741
         if not meets[piece[i], piece[l]]:
             continue
         here = (point(x, i), point(x, j), point(x, k), point(x, l))
@@ -188,7 +180,7 @@ def measure_near(x: Float, tree: MovingTree, gaps: Gaps, found: Long, number: in
         wanted = gap
         was = tangled[i] or tangled[j] or tangled[k] or tangled[l]
         objects = piece[i] != piece[l] and piece[i] != bodies and piece[l] != bodies
-        if not objects and not (was and not neighbours(ring_start, ring, four, of_edges)):
+        if not objects and not (was and not neighbours(ring_start, ring, found[r], of_edges)):
             first = (point(begun, i), point(begun, j), point(begun, k), point(begun, l))
             _, before = unit(weigh(closest(of_edges, first).weights, first))
             wanted = less(gap, LEAST_SHARE * before)
@@ -196,7 +188,7 @@ def measure_near(x: Float, tree: MovingTree, gaps: Gaps, found: Long, number: in
             continue
         if count < pair.shape[0]:
             for corner in range(4):
-                pair[count, corner] = four[corner]
+                pair[count, corner] = found[r, corner]
             weights[count, 0], weights[count, 1], weights[count, 2], weights[count, 3] = w
             normal[count, 0], normal[count, 1], normal[count, 2] = n
             size[count, 0], size[count, 1] = distance, wanted
@@ -206,11 +198,12 @@ def measure_near(x: Float, tree: MovingTree, gaps: Gaps, found: Long, number: in
 
 def find_near_pairs(cloth: Cloth, x: Float, tangled: Bool, gap: float) -> Near:
     """Return pairs that are nearer than OVER times their required distance, of vertices x (n, 3), in order."""
-    tree, rows, radius = cloth.tree, fit(cloth.tree, x), OVER * gap
-    leaves = near_leaves(tree.boxes, radius, cloth.bodies >= 0)
-    found, number = with_room(lambda rows: find_near(tree, radius, leaves, rows), 8 * len(tree.faces))
+    tree, rows = cloth.tree, fit(cloth.tree, x, OVER * gap)
+    leaves = near_leaves(tree, cloth.bodies >= 0)
     begun = np.ascontiguousarray(cloth.begun.T)
     gaps = Gaps(begun, cloth.ring_start, cloth.ring, cloth.piece, cloth.meets, cloth.bodies, tangled, gap)
-    room = Room(np.empty((number, 4), np.int64), np.empty((number, 4)), np.empty((number, 3)), np.empty((number, 2)))
-    kept = measure_near(rows, tree, gaps, found, number, room)
+    places, kept = 0, 2 * len(tree.faces)
+    while kept > places:
+        room = Room(np.empty((kept, 4), np.int64), np.empty((kept, 4)), np.empty((kept, 3)), np.empty((kept, 2)))
+        places, kept = kept, measure_near(rows, tree, gaps, leaves, room)
     return Near(room.pair[:kept], room.weights[:kept], room.normal[:kept], room.size[:kept, 0], room.size[:kept, 1])
