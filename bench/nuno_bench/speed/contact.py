@@ -210,7 +210,8 @@ class Parts:
             "what is near": lambda: choose_near(m, threads),
             "lists": lambda: make_list(m, threads),
         }
-        own, a = packed._replace(forces=tuple(m if isinstance(f, ContactState) else f for f in packed.forces)), v.copy()
+        terms = packed.forces.again(m if isinstance(one, ContactState) else one for one in packed.forces)
+        own, a = packed._replace(forces=terms), v.copy()
         alone, cloth, rates = silence(own, "cloth_contact"), x[:, : len(state.v)].copy(), v[:, : len(state.v)].copy()
         forces = fastest_call(lambda: evaluate(cloth, rates, 0.0, a, own))
         forces -= fastest_call(lambda: evaluate(cloth, rates, 0.0, a, alone))
