@@ -292,12 +292,14 @@ def test_they_end_with_the_process_that_started_them(side_by_side: Callable[...,
     assert not any(psutil.pid_exists(pid) for pid in started)
 
 
+@pytest.mark.quick(change=["sys.executable = '/nowhere'"])
 @pytest.mark.parametrize("change", ["workers.START = 'raise SystemExit'", "sys.executable = '/nowhere'"])
 def test_where_they_cannot_work_all_is_compiled_here(change: str, side_by_side: Callable[..., list[str]]) -> None:
     value, compiled, *_ = side_by_side(change)
     assert float(value) == 5.0 and int(compiled) >= 4
 
 
+@pytest.mark.full
 def test_what_they_cannot_import_is_compiled_here(side_by_side: Callable[..., list[str]]) -> None:
     """A kernel of the program itself, or of a notebook; what it calls is theirs."""
     own = "from far import add_twice\n@kernel\ndef near(x, out):\n    add_twice(1.25 * x, out)"

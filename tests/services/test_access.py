@@ -315,6 +315,7 @@ def test_of_the_page_for_drawing_one_socket_listens(tmp_path: Path) -> None:
     assert address.startswith("127.")
 
 
+@pytest.mark.full
 def test_the_hub_is_not_reached_by_the_machines_outer_addresses(tmp_path: Path) -> None:
     cards = [each for card in psutil.net_if_addrs().values() for each in card if each.family == socket.AF_INET]
     outer = [each.address for each in cards if not each.address.startswith("127.")]

@@ -110,7 +110,7 @@ def test_engine_in_a_process_of_its_own_gives_its_score(sheet: Sheet, fakes: Non
     assert point.remark == "it did nothing"
 
 
-@pytest.mark.quick(made=["Crash", "NoSuchEngine"])
+@pytest.mark.quick(made=["Crash"])
 @pytest.mark.parametrize(
     ("made", "setting", "limit", "reason"),
     [

@@ -124,6 +124,7 @@ def test_a_copy_has_its_own_name_unless_the_text_has_another(desk: Desk) -> None
     assert Path("mended.yaml").read_text() == SHEET
 
 
+@pytest.mark.full
 def test_a_run_has_the_same_bits_as_from_the_command_line_and_is_of_the_text(desk: Desk) -> None:
     text = SHEET.replace("0.5     # air", "0.9")
     now = run_to_end(desk, text)

@@ -381,6 +381,7 @@ def test_the_command_takes_mappings_and_lists_as_values(tmp_path: Path) -> None:
         assert [row["state"] for row in csv.DictReader(stream)] == ["done"] * 2
 
 
+@pytest.mark.full
 def test_values_may_be_files_of_the_scene_or_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

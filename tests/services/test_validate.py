@@ -77,11 +77,11 @@ def test_three_sound_solvers_pass_every_case() -> None:
     assert set(validate.count_posed(part, list(found.values())).values()) == {3}
 
 
-QUICK = ("one step", "oscillator energy", "momentum", "angular momentum", "rotation", "chain frequency 1")
+QUICK = ("one step", "oscillator energy", "momentum", "rotation", "chain frequency 1")
 
 
 @pytest.mark.quick(case=QUICK)
-@pytest.mark.parametrize("case", [*QUICK, "projectile", "order, net"])
+@pytest.mark.parametrize("case", [*QUICK, "angular momentum", "projectile", "order, net"])
 def test_every_installed_solver_passes(case: str) -> None:
     found = outcomes([case], [])
     assert {key: o.reason for key, o in found.items() if o.verdict == "failed"} == {}

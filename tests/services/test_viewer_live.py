@@ -233,6 +233,7 @@ def test_the_ring_gives_up_the_oldest_frames_and_nothing_else() -> None:
     assert [frame for topic, frame, _, _ in kept if topic == STATUS.name] == list(range(5))
 
 
+@pytest.mark.full
 def test_a_viewer_that_is_open_is_used_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And is not ended with a run that is killed, nor by who did not open it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # viewers are noted there
