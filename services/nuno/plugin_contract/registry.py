@@ -8,7 +8,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 from functools import cache, partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from typing import Any
 
 from nuno.plugin_contract import containment
@@ -163,12 +163,18 @@ def package_version(group: str, name: str) -> str:
 
 def package(point: EntryPoint) -> str:
     """Return the `package version` of an entry point, the module of a class that is registered."""
-    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value.partition(":")[0]
+    return " ".join(_identity(point.dist)) if point.dist else point.value.partition(":")[0]
 
 
 def distribution(point: EntryPoint) -> str:
     """Return the name of an entry point's package, "" for a class that is registered."""
-    return point.dist.name if point.dist else ""
+    return _identity(point.dist)[0] if point.dist else ""
+
+
+@cache
+def _identity(dist: Distribution) -> tuple[str, str]:
+    """Cache the name and version of an installed package: each is read anew from a file."""
+    return dist.name, dist.version
 
 
 def is_own(point: EntryPoint) -> bool:
