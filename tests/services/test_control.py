@@ -276,8 +276,8 @@ def test_set_answers_with_the_old_and_the_new_value(run: Run, capsys: pytest.Cap
 
 
 def test_time_spent_paused_is_counted_apart(run: Run) -> None:
+    run.control("status")  # it is paused when it answers
     began = time.perf_counter()
-    run.control("status")
     time.sleep(0.5)
     waited = time.perf_counter() - began
     outcome = run.stop()
