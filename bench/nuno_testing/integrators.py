@@ -70,8 +70,8 @@ def the_error_falls_with_the_stated_order(subject: Subject) -> None:
     counts = np.array([8, 11, 16, 22] if order > 5 else [40, 80, 160, 320]) * (40 if order == 1 else 1)
     errors = [np.abs(run(subject, system, 1.0 / n, int(n)).x - solution(system, 1.0)).max() for n in counts]
     measured = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    told = f"order {measured:.2f}, and not {order}, on x'' = -{OMEGA:g}^2 x - {DAMPING:g} x': its damping included"
-    assert abs(measured - order) < (0.1 if order < 5 else 0.3), told
+    message = f"order {measured:.2f}, and not {order}, on x'' = -{OMEGA:g}^2 x - {DAMPING:g} x': its damping included"
+    assert abs(measured - order) < (0.1 if order < 5 else 0.3), message
 
 
 def equal_runs_give_equal_bytes(subject: Subject) -> None:
