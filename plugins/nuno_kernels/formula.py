@@ -17,10 +17,10 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numba.extending import overload
 
 from nuno_kernels import FLAGS, forced_inline, kernel
+from nuno_kernels.compilation.internals import NumbaError
 from nuno_kernels.compilation.reference import by_reference
 from nuno_kernels.lanes import WIDTH, lane, splat, vector, with_lane
 from nuno_schemas.fabric import Float
