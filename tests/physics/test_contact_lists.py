@@ -9,11 +9,12 @@ import pytest
 from sheets import Pile
 
 from nuno_bench import piles
-from nuno_contact.offset.candidate_pairs import choose_near, make_list
+from nuno_contact.offset.candidate_pairs import choose_near, make_list, unit_lanes
 from nuno_contact.offset.contact_state import LISTED, NEAR, WITH_FACES, ContactState
 from nuno_contact.offset.proximity import closest, point, unit, weigh
 from nuno_contact.offset.tree import MovingTree, find_pairs, fit_tree, make_tree, near_leaves
 from nuno_kernels import kernel
+from nuno_kernels.lanes import load, store
 from nuno_schemas.fabric import Bool, Float, Int
 
 Mesh = tuple[Float, Int]
@@ -210,3 +211,20 @@ def test_leaves_are_full_and_memory_grows_with_the_mesh_alone() -> None:
         assert len(tree.start) == -(-len(tree.faces) // 16)
     assert max(sizes) < 500.0
     assert max(sizes) < 1.1 * min(sizes)
+
+
+@kernel
+def write_directions(v: Float, out: Float) -> None:
+    """Write the directions of eight vectors (3, 8)."""
+    n = unit_lanes((load(v, 0, 0), load(v, 1, 0), load(v, 2, 0)))
+    for row in range(3):
+        store(out, row, 0, n[row])
+
+
+@pytest.mark.parametrize("size", [0.0, 5e-324, 1e-200, 1e-162, 1e-155, 1e-151, 1e-149, 1e-20, 1.0, 1e100])
+def test_no_direction_is_longer_than_1(size: float) -> None:
+    """A longer one would keep apart what touches."""
+    v, out = np.random.default_rng(5).normal(0.0, 1.0, (3, 8)), np.empty((3, 8))
+    write_directions(size * v / np.linalg.norm(v, axis=0), out)
+    assert (np.linalg.norm(out, axis=0) <= 1.0 + 1e-15).all()
+    assert size < 1e-140 or np.allclose(out, v / np.linalg.norm(v, axis=0), rtol=1e-14)

@@ -64,8 +64,8 @@ from nuno_schemas.fabric import Float, Int
 SCATTER = 0x9E3779B97F4A7C15 - (1 << 64)
 """the golden ratio of 64 bits, as a signed number (Knuth, vol. 3, 6.4)"""
 EMPTY = -(1 << 63)
-TINY = 1e-300
-"""length of a way that has none"""
+TINY = 1e-150
+"""Shortest way that a direction is taken from: the squares of shorter ones are no longer exact."""
 
 
 @forced_inline
@@ -207,7 +207,7 @@ def between_faces(w: Pair) -> Triple:
 
 @forced_inline
 def unit_lanes(v: Triple) -> Triple:
-    """Return eight vectors at length 1, or 0 if they are that."""
+    """Return eight vectors at length 1, those shorter than TINY at less: a plane across them keeps apart no more."""
     return times(1.0 / higher(root(dot(v, v)), splat(TINY)), v)
 
 
