@@ -215,10 +215,13 @@ class Terms(tuple[Any, ...]):
         addresses = [[UNKNOWN] * len(PLACES) for _ in self]
         for k, term in enumerate(self):
             for (role, variant), place in PLACES.items():
-                if (kernel := kernels_of(term).find(role)) is None:
+                if role not in kernels_of(term):
                     addresses[k][place] = NOTHING
                 elif variants.get(role) == variant:
-                    taken = (*(kind for kind, _ in typed[k]), *_types_of(role, variant))
+                    kernel, taken = (
+                        kernels_of(term).find(role),
+                        (*(kind for kind, _ in typed[k]), *_types_of(role, variant)),
+                    )
                     calls[k, place] = by_address(kernel), taken[: len(parameters_of(kernel))]
         compile_all(list(calls.values()))
         for (k, place), call in calls.items():
@@ -245,7 +248,6 @@ TYPES: Mapping[str, Any] = {
     **dict.fromkeys(("block", "origin", "batch", "threads"), types.int64),
     **dict.fromkeys(("t", "s", "rate", "floor", "follow"), types.float64),
     **dict.fromkeys(("x", "v", "force", "a", "change", "before", "u", "out", "held"), ROWS),
-    "on": types.Array(types.boolean, 1, "C"),
     "moved": types.NamedTuple([ROWS] * 5 + [types.float64], Displaced),
 }
 """types of the parameters of compiled roles"""

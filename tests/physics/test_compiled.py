@@ -29,6 +29,7 @@ from nuno_kernels import FLAGS, block_kernel, kernel
 from nuno_kernels.compilation import internals
 from nuno_kernels.compilation.internals import CHECKSUM, Borrowing, keep
 from nuno_kernels.compilation.reference import by_reference
+from nuno_kernels.compilation.table import memory_of
 from nuno_kernels.step.acceleration import add_blocks, evaluate, hold
 from nuno_kernels.terms import Terms, over_blocks, register
 from nuno_schemas.fabric import Float, Int
@@ -532,6 +533,12 @@ def test_a_role_that_terms_were_not_made_for_is_an_error_and_one_that_they_lack_
         add_all(Terms([mixed()], ("hold",)), on, x, force, 0.0)
     hold_all(Terms([mixed()], ()), on, x, None)
     assert not force.any()
+
+
+def test_a_number_that_lies_otherwise_in_memory_is_refused() -> None:
+    kind = by_reference(NamedTuple("Kind", [("on", bool), ("value", complex)]))
+    with pytest.raises(TypeError, match="complex128"):
+        memory_of(numba.typeof(kind(True, 1j)), kind(True, 1j))
 
 
 def test_terms_of_other_types_compile_no_step_anew() -> None:

@@ -82,7 +82,7 @@ def _extent(kind: Any) -> tuple[int, int]:
         return 8 * (5 + 2 * kind.ndim), 8
     if isinstance(kind, types.Boolean):
         return 1, 1
-    if isinstance(kind, types.Number):
+    if isinstance(kind, types.Integer | types.Float):
         return kind.bitwidth // 8, kind.bitwidth // 8
     if isinstance(kind, types.NoneType | Reference):
         return 8, 8
