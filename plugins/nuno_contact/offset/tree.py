@@ -41,7 +41,7 @@ class MovingTree(NamedTuple):
     """Of f triangles, e edges and n vertices, in M leaves of sixteen triangles each, but for the last of cloth, and of
     bodies; N nodes, eights of them side by side.
 
-    faces (f, 3), edges (e, 2)  of which vertices
+    faces (f, 3), edges (e, 2)  vertices of each
     start (M, 4)  first of the sixteens of each kind that each leaf owns, one after the other, and their end
     of_cloth (1,)  how many leaves are of cloth
     number (s, 16)  of the primitives of each sixteen, -1 where it is not full
