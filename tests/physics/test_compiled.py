@@ -465,6 +465,16 @@ def test_by_reference_all_is_there(on: bool, threads: int | None) -> None:
     np.testing.assert_array_equal(out, 3.0 * first + 5.0 * first if on else np.zeros(50))
 
 
+def test_the_type_by_a_key_is_the_one_that_numba_finds() -> None:
+    """Whatever the layout of an array, and whether it may be written, in a tuple of one class."""
+    c, locked = np.zeros((4, 4)), np.zeros((4, 4))
+    locked.flags.writeable = False
+    for first in (c, c.T.copy().T, c[::2], c[:, 1], locked, c.astype(np.int32), c.astype(">f8").view(np.int64)):
+        lent = Lent(first, np.zeros(2))
+        assert numba.typeof(lent).held.types[0] == numba.typeof(first)
+    assert numba.typeof(Lent(c, c, on=False, scale=1)).held.types[2] == numba.typeof(1)  # type: ignore[comparison-overlap]
+
+
 def test_by_reference_is_one_argument() -> None:
     """In the place of the fourteen numbers that two arrays of one dimension are."""
     arguments = {}
