@@ -235,6 +235,29 @@ def test_kicks_of_contact_feed_no_bending(bend: float) -> None:
     assert max(energy) < 1.001 * energy[0], energy
 
 
+@pytest.mark.parametrize("bend", [1e-4, 3e-4, 1e-3])
+def test_kicks_of_bending_between_those_of_contact_feed_neither(bend: float) -> None:
+    """Bending kicks more seldom than contact, neither is damped; three times as seldom, kicks feed it."""
+    system, plugin, config = folded(bend), Respa(), RespaConfig()
+    dt = 0.7 * plugin.limit(config, system, at_start(system)).dt
+    division = divide(system)
+    kicks = division.steps_a_kick(dt, dt)
+    seldom = division.steps_a_soft_kick(dt, dt, kicks)
+    assert seldom >= 2 * kicks and seldom % kicks == 0
+
+    def grown(every: int) -> float:
+        state = State(system.fabric.position.copy(), system.fabric.velocity.copy())
+        memory = plugin.prepare(config, system, state)
+        work: Any = memory.work
+        work.dt, work.kicks, work.soft_kicks = dt, kicks, every
+        reports = [plugin.advance(system, state, memory, None, 504, dt) for _ in range(20)]
+        energy = [sum(report.energy.values()) for report in reports]
+        return max(energy) / energy[0]
+
+    assert grown(seldom) < 1.001
+    assert bend < 1e-3 or grown(3 * seldom) > 1.1
+
+
 @pytest.mark.parametrize("every", [0, -1, 1.5, "often"])
 def test_kicks_stand_for_whole_steps(every: object) -> None:
     with pytest.raises(ValidationError):

@@ -1,4 +1,5 @@
-"""r-RESPA: tension in every step of symplectic Euler, all other forces as kicks every few steps. Order 1.
+"""r-RESPA: tension in every step of symplectic Euler, contact as kicks every few steps, what is softer as kicks every
+few of those. Order 1.
 
 Verlet-I or the reversible reference system propagator (Grubmueller et al. 1991, Mol. Simul. 6, 121-142; Tuckerman,
 Berne & Martyna 1992, J. Chem. Phys. 97, 1990-2001). Cloth hardly stretches: what limits an explicit step is tension
@@ -22,6 +23,10 @@ cause themselves, but comes too late for modes that swing within that time, whic
 Gravity is a kick for this reason where cloth may rest on a body or on cloth: what does feels one force of contact and
 weight, and does not stir. What hangs there stirs instead: at the ends of frames, after half a kick, its velocity is off
 by up to g H / 2 and its strain by that over the speed of sound. Elsewhere gravity acts in every step.
+
+Where contact is the stiffest of the kicks, bending, wind and foreign forces that declare no stiffness need not be found
+as often as it: they kick at every few of its kicks. Their time follows from the same bounds with their own rates. Cloth
+in contact swings on it as on a spring, whose damping may be none: they may meet none of those modes, either.
 
 Bending grows with the fourth power of how small triangles are: beside gathers and short edges it may be faster than
 contact, which then would be found in every step for its sake. Where it is, it acts with tension in every step, for a
@@ -111,21 +116,28 @@ class RespaConfig(Config):
 
 @kernel
 def advance_respa(
-    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, slow: Packed, every: int
-) -> None:
-    """Take `steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `slow` all other forces.
+    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, slow: Packed, every: int, soft: Packed,
+    soft_every: int,
+) -> None:  # fmt: skip
+    """Take `steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `soft` the forces that kick every
+    `soft_every` steps, a multiple of `every`, and `slow` all others.
 
-    The others kick for half of the steps before and half of those after. Contact, which holds cloth off bodies and off
+    Kicks stand for half of the steps before and half of those after. Contact, which holds cloth off bodies and off
     itself, acts on the mean velocity u since the last kick, by which vertices came to where they are. The velocity
     beyond u is reduced by the same share as the way.
 
     Tension is evaluated halfway through each step: symplectic Euler's steps, from positions half a step ahead.
     """
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
-    step, before = 0, 0
+    step, before, soft_before = 0, 0, 0
     while steps > 0:
         after = min(every, steps - step)
         evaluate(here_x, here_v, step / steps, a, slow)
+        if soft_every > every and (step % soft_every == 0 or after == 0):
+            soft_after = min(soft_every, steps - step)
+            evaluate(here_x, here_v, step / steps, u, soft)
+            add(here_v, here_v, 0.5 * (soft_before + soft_after) * dt, u, p.threads)
+            soft_before = soft_after
         add(here_v, here_v, 0.5 * (before + after) * dt, a, p.threads)
         if after == 0 or p.leave[0] != 0:
             break
@@ -160,6 +172,10 @@ class Division:
     longest: float = math.inf
     rests: bool = True
     """whether a term is stiff, so that cloth may rest on it: gravity is a kick then"""
+    stiff: frozenset[str] = frozenset()
+    """kinds of force of such terms"""
+    soft: tuple[float, float] = (0.0, 0.0)
+    """rates of the kicks that are not stiff"""
 
     def fast_part(self, p: Packed) -> Packed:
         """Return the system of what acts in every step."""
@@ -172,13 +188,34 @@ class Division:
         slow = silence(p, *self.always)
         return slow if self.rests else slow._replace(gravity=np.zeros(3))
 
+    def split_kicks(self, p: Packed) -> tuple[Packed, Packed]:
+        """Return the systems of kicks that are stiff, and of those that are not: forces by blocks."""
+        slow = self.slow_part(p)
+        names = {kernels_of(term).name for term in p.forces} - self.stiff
+        soft = slow._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=np.zeros(3))
+        return slow._replace(forces_on=silence(slow, *names).forces_on), silence(soft, *self.stiff)
+
     def steps_a_kick(self, dt: float, span: float) -> int:
         """Return for how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: at most
         the number of the longest safe step.
         """
-        steps = (dt, max(dt, span / max(1, math.ceil(span / self.safe))))
-        most = (min(steps_a_kick(self.fast, self.slow, one), int(min(MOST, self.longest / one))) for one in steps)
+        most = (
+            min(steps_a_kick(self.fast, self.slow, one), int(min(MOST, self.longest / one)))
+            for one in self._steps(dt, span)
+        )
         return max(1, min(most))
+
+    def _steps(self, dt: float, span: float) -> tuple[float, float]:
+        """Return a step and the longest safe one [s] of whole steps in `span` [s]."""
+        return dt, max(dt, span / max(1, math.ceil(span / self.safe)))
+
+    def steps_a_soft_kick(self, dt: float, span: float, kicks: int) -> int:
+        """Return for how many steps one kick of forces that are not stiff may stand, a multiple of `kicks`."""
+        if not self.rests:
+            return kicks
+        pressed = math.sqrt(max(0.0, self.slow[0] ** 2 - self.soft[0] ** 2)), 0.0
+        most = (min(steps_a_kick(one, self.soft, h) for one in (self.fast, pressed)) for h in self._steps(dt, span))
+        return kicks * max(1, min(most) // kicks)
 
 
 @dataclass
@@ -190,8 +227,10 @@ class RespaWork(Work):
     kicks: int = 1
     dt: float = 0.0
     """steps for each kick, and the step [s], of the last steps"""
-    last: int = 0
-    """steps that the last kick stood for"""
+    soft_kicks: int = 1
+    """steps for each kick of forces that are not stiff"""
+    last: tuple[int, int] = (0, 0)
+    """steps that the last kicks stood for, stiff or not"""
 
 
 class Respa(Compiled):
@@ -225,22 +264,28 @@ class Respa(Compiled):
 
     def go(self, work: RespaWork, packed: Packed, steps: int, dt: float) -> StepResult:
         if dt != work.dt:
-            work.kicks = work.division.steps_a_kick(dt, steps * dt) if work.every is None else work.every
+            span, division = steps * dt, work.division
+            work.kicks = work.soft_kicks = division.steps_a_kick(dt, span) if work.every is None else work.every
+            if work.every is None:
+                work.soft_kicks = division.steps_a_soft_kick(dt, span, work.kicks)
             work.dt = dt
         self.steps_of(work)(work.x, work.v, work.stages, steps, dt, packed)
-        work.last = (steps - 1) % work.kicks + 1
+        work.last = (steps - 1) % work.kicks + 1, (steps - 1) % work.soft_kicks + 1
         return StepResult(steps)
 
     def compile(self, work: RespaWork, packed: Packed) -> None:
         self.steps_of(work)(work.x, work.v, work.stages, 0, 0.0, packed)
 
     def felt_at(self, work: RespaWork, packed: Packed) -> Float:
-        """Return the velocity before the last kick, half of which is in the state: v - H / 2 a(v), iterated."""
-        half = 0.0 if _slides(work.packed) else 0.5 * work.last * work.dt
-        slow, a, v = work.division.slow_part(packed), np.empty_like(work.v), work.v
-        for _ in range(ROUNDS if half > 0.0 else 0):
-            evaluate(work.x, v, 1.0, a, slow)
-            v = work.v - half * a
+        """Return the velocity before the last kicks, half of which is in the state: v - H / 2 a(v), iterated."""
+        kicks = work.division.split_kicks(packed)
+        a, v = np.empty_like(work.v), work.v
+        for _ in range(0 if _slides(work.packed) else ROUNDS):
+            before = work.v.copy()
+            for part, last in zip(kicks, work.last, strict=True):
+                evaluate(work.x, v, 1.0, a, part)
+                before -= 0.5 * last * work.dt * a
+            v = before
         return v
 
     def unkicked(self, work: RespaWork) -> Collection[str]:
@@ -256,8 +301,10 @@ class Respa(Compiled):
             return SymplecticEuler().steps_of(work)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
-            fast, slow = work.division.fast_part(p), work.division.slow_part(p)
-            advance_respa(x, v, stages, steps, dt, fast, slow, work.kicks)
+            fast, (slow, soft) = work.division.fast_part(p), work.division.split_kicks(p)
+            if work.soft_kicks == work.kicks:
+                slow = work.division.slow_part(p)
+            advance_respa(x, v, stages, steps, dt, fast, slow, work.kicks, soft, work.soft_kicks)
 
         return loop
 
@@ -290,9 +337,14 @@ def divide(system: System) -> Division:
     if 0.0 < dear < bending:
         always, longest = TENSION + BENDING, 0.5 * math.pi / math.sqrt(bending)
         fast, slow = both_rates(system, at_start(system), always)
-    rests = any(term.omega_squared > 0.0 for term in system.terms)
     fast = fast[0], min(fast[1], least_damping(system.fabric, fast[0]))
-    return Division(always, fast, slow, safe, longest, rests)
+    stiff, soft = [term for term in system.terms if term.omega_squared > 0.0], (0.0, 0.0)
+    if stiff:
+        others = tuple(term for term in system.terms if term.omega_squared == 0.0 and not callable(term.data))
+        fabric = _without(system.fabric, always)
+        soft = measure_rates(replace(system, fabric=fabric, terms=others, damping=0.0), at_start(system))
+    names = frozenset(kernels_of(part).name for term in stiff for part in _parts(term))
+    return Division(always, fast, slow, safe, longest, bool(stiff), names, soft)
 
 
 def stable(fast: tuple[float, float], slow: tuple[float, float], damping: float) -> float:
