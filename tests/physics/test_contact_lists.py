@@ -9,8 +9,18 @@ import pytest
 from sheets import Pile
 
 from nuno_bench import piles
-from nuno_contact.offset.candidate_pairs import choose_near, make_list, unit_lanes
-from nuno_contact.offset.contact_state import LISTED, NEAR, WITH_FACES, ContactState
+from nuno_contact.offset.candidate_pairs import choose_near, foretell, keep_strayed, make_list, unit_lanes
+from nuno_contact.offset.contact_state import (
+    LIST_BEGUN,
+    LIST_WINDOW,
+    LISTED,
+    NEAR,
+    NEAR_BEGUN,
+    NEAR_WINDOW,
+    NOW,
+    WITH_FACES,
+    ContactState,
+)
 from nuno_contact.offset.proximity import closest, point, unit, weigh
 from nuno_contact.offset.tree import MovingTree, find_pairs, fit_tree, make_tree, near_leaves
 from nuno_kernels import kernel
@@ -166,17 +176,30 @@ def alike(four: list[int], of_edges: bool) -> tuple[int, ...]:
     return (four[0], *sorted(four[1:]))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_what_comes_within_the_thickness_is_listed_and_near(seed: int) -> None:
-    """Of crumpled sheets whose vertices go their ways, and stray from them as far as they may, at any time."""
-    rng, pieces = np.random.default_rng(seed), []
+def crumpled_sheets(rng: np.random.Generator) -> tuple[ContactState, Float]:
+    """Three sheets that meet, and where their vertices are now, (3, n)."""
+    pieces = []
     for k in range(3):
         piece = piles.sheet(6, 0.04, irregular=k == 1)
         piece.position[:] += rng.normal(0.0, 1e-4, piece.position.shape) + np.array([0.0, 3e-3 * k, 0.0])
         pieces.append(piece)
     m = Pile(*pieces, dt=1e-3).meeting
+    crumpled = (m.surface.start + rng.normal(0.0, 2e-3, m.last.shape)) * [[0.7], [1.0], [0.8]]
+    return m, np.ascontiguousarray(crumpled)
+
+
+def strays_of(rng: np.random.Generator, spread: Float) -> Float:
+    """Ways (3, n) of these lengths [m], anywhere."""
+    off = rng.normal(0.0, 1.0, (3, len(spread)))
+    return np.asarray(off * spread / np.linalg.norm(off, axis=0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_comes_within_the_thickness_is_listed_and_near(seed: int) -> None:
+    """Of crumpled sheets whose vertices go their ways, and stray from them as far as they may, at any time."""
+    rng = np.random.default_rng(seed)
+    m, crumpled = crumpled_sheets(rng)
     n, h, plan = m.last.shape[1], float(m.surface.law[0]), m.plan
-    crumpled = np.ascontiguousarray((m.surface.start + rng.normal(0.0, 2e-3, (3, n))) * [[0.7], [1.0], [0.8]])
     motion = rng.normal(0.0, 5e-3, (3, 1)) + rng.normal(0.0, 2e-3, (3, n))
     for which in range(2):
         plan.reference[3 * which : 3 * which + 3], plan.motion[3 * which : 3 * which + 3] = crumpled, motion
@@ -192,13 +215,41 @@ def test_what_comes_within_the_thickness_is_listed_and_near(seed: int) -> None:
     distance, came = np.empty(len(four)), 0
     for share in (0.0, 0.2, 0.5, 0.9, 1.0):
         for which, known in enumerate((every, near)):
-            off = rng.normal(0.0, 1.0, (3, n))
-            off *= plan.spread[which] / np.linalg.norm(off, axis=0)
-            distances(crumpled + share * motion + off, four, with_faces, distance)
+            distances(crumpled + share * motion + strays_of(rng, plan.spread[which]), four, with_faces, distance)
             close = np.flatnonzero(distance < h)
             came += len(close)
             assert {names[p] for p in close.tolist()} <= known
     assert came > 100
+
+
+@pytest.mark.parametrize(("begin", "window"), [(0.0, 0.2), (0.3, 0.1), (0.6, 0.4), (0.8, 0.5)])
+def test_what_comes_within_the_thickness_is_chosen_as_the_list_grows_old(begin: float, window: float) -> None:
+    """Vertices are off the list's plan by then, and go other ways; few of what stays apart is looked at again."""
+    rng = np.random.default_rng(7)
+    m, crumpled = crumpled_sheets(rng)
+    n, h, plan = m.last.shape[1], float(m.surface.law[0]), m.plan
+    plan.reference[:3], plan.motion[:3] = crumpled, rng.normal(0.0, 4e-3, (3, n))
+    plan.spread[:] = [[3e-3], [1e-4]]
+    plan.reference[3:] = crumpled + begin * plan.motion[:3] + strays_of(rng, rng.uniform(0.0, 1e-3, n))
+    plan.motion[3:] = window * (plan.motion[:3] + rng.normal(0.0, 1e-3, (3, n)))
+    m.clock[[NOW, LIST_BEGUN, LIST_WINDOW, NEAR_BEGUN, NEAR_WINDOW]] = 5.0, 5.0 - 4.0 * begin, 4.0, 5.0, 4.0 * window
+    make_list(m, None)
+    choose_near(m, None)
+    number, faces, came = int(m.counts[LISTED]), int(m.counts[WITH_FACES]), 0
+    near, distance = set(m.pairs.near[: m.counts[NEAR]].tolist()), np.empty(number)
+    for share in np.linspace(0.0, min(1.0, (1.0 - begin) / window), 7):
+        x = plan.reference[3:] + share * plan.motion[3:] + strays_of(rng, plan.spread[1])
+        distances(np.ascontiguousarray(x), m.pairs.vertices[:number], faces, distance)
+        close = set(np.flatnonzero(distance < h).tolist())
+        came += len(close)
+        assert close <= near
+    off, kept = np.empty(n), np.empty(number, np.int32)
+    at = foretell(m, off)
+    strayed = [
+        int(keep_strayed(m, of_edges, kept[: stop - start], start, off, *at))
+        for of_edges, start, stop in ((False, 0, faces), (True, faces, number))
+    ]
+    assert came > 100 and len(near) <= sum(strayed) < 0.7 * number
 
 
 def test_leaves_are_full_and_memory_grows_with_the_mesh_alone() -> None:

@@ -28,7 +28,7 @@ from nuno_contact.offset.contact_state import (
     close_up,
 )
 from nuno_contact.offset.proximity import closest, point, unit, weigh
-from nuno_contact.offset.tree import PER_TWO, find_pairs, fit_tree, lay_out, less, near_leaves, vertices_of
+from nuno_contact.offset.tree import PER_TWO, find_pairs, fit_tree, lay_out, less, more, near_leaves, vertices_of
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.lanes import (
     EVERY,
@@ -39,6 +39,7 @@ from nuno_kernels.lanes import (
     dot,
     gather_rows,
     higher,
+    lane,
     lanes_above,
     lanes_up_to,
     lower,
@@ -140,11 +141,28 @@ def gap_at(of_edges: bool, n: Triple, p: tuple[Triple, Triple, Triple, Triple], 
 
 
 @forced_inline
+def begins_of(w: Pair) -> tuple[Triple, Triple, Triple, Triple]:
+    """Return the positions of eight pairs' vertices at the start of their way."""
+    return begin_of(w[0]), begin_of(w[1]), begin_of(w[2]), begin_of(w[3])
+
+
+@forced_inline
+def ends_of(w: Pair) -> tuple[Triple, Triple, Triple, Triple]:
+    """Return their positions at the end."""
+    return end_of(w[0]), end_of(w[1]), end_of(w[2]), end_of(w[3])
+
+
+@forced_inline
 def gap_along(of_edges: bool, n: Triple, w: Pair) -> Lanes:
     """Return how far apart a plane across n keeps eight pairs all along their way."""
-    begin = (begin_of(w[0]), begin_of(w[1]), begin_of(w[2]), begin_of(w[3]))
-    end = (end_of(w[0]), end_of(w[1]), end_of(w[2]), end_of(w[3]))
-    return lower(gap_at(of_edges, n, begin, w), gap_at(of_edges, n, end, w))
+    return lower(gap_at(of_edges, n, begins_of(w), w), gap_at(of_edges, n, ends_of(w), w))
+
+
+@forced_inline
+def bare_gap(of_edges: bool, n: Triple, p: tuple[Triple, Triple, Triple, Triple]) -> Lanes:
+    """Return how far apart a plane across n keeps eight pairs with vertices p, without strays."""
+    a, b, c, d = dot(n, p[0]), dot(n, p[1]), dot(n, p[2]), dot(n, p[3])
+    return lower(a, b) - higher(c, d) if of_edges else a - higher(b, higher(c, d))
 
 
 @forced_inline
@@ -226,14 +244,15 @@ def plane_between(of_edges: bool, by_middles: bool, w: Pair) -> Triple:
 
 
 @block_kernel
-def keep_near(m: ContactState, of_edges: bool, pair: Int, kept: Int, normal: Float | None) -> int:
+def keep_near(m: ContactState, of_edges: bool, pair: Int, kept: Int, normal: Float | None, gaps: Float | None) -> int:
     """Keep those of pairs (c,) of vertices pair (p, 4) that do not stay apart, in place and in order; return their
-    number. Their normal (p, 3) becomes that of a plane across their closest points.
+    number. Their normal (p, 3) becomes that of a plane across their closest points, and their gaps (2, p) [m] how far
+    apart this keeps them at the start and at the end of their way, without strays.
 
     All are evaluated without a branch, since a wrong prediction takes longer.
     """
     ways, thickness, count = m.plan.ways, m.surface.law[0], kept.shape[0]
-    four, across = np.zeros((WIDTH, 4), np.int32), np.empty((3, WIDTH))
+    four, across, between = np.zeros((WIDTH, 4), np.int32), np.empty((3, WIDTH)), np.empty((2, WIDTH))
     for by_middles in (True, False):
         number = 0
         for c in range(0, count, WIDTH):
@@ -247,10 +266,15 @@ def keep_near(m: ContactState, of_edges: bool, pair: Int, kept: Int, normal: Flo
             apart = lanes_above(gap_along(of_edges, n, w), thickness)
             for row in range(3):
                 store(across, row, 0, n[row])
+            if gaps is not None:
+                store(between, 0, 0, bare_gap(of_edges, n, begins_of(w)))
+                store(between, 1, 0, bare_gap(of_edges, n, ends_of(w)))
             for k in range(eight):
                 p = kept[c + k]
                 if normal is not None:
                     normal[p, 0], normal[p, 1], normal[p, 2] = across[0, k], across[1, k], across[2, k]
+                if gaps is not None:
+                    gaps[0, p], gaps[1, p] = between[0, k], between[1, k]
                 kept[number] = p
                 number += 1 - ((apart >> k) & 1)
         count = number
@@ -258,8 +282,9 @@ def keep_near(m: ContactState, of_edges: bool, pair: Int, kept: Int, normal: Flo
 
 
 @block_kernel
-def search_part(part: int, m: ContactState, leaves: Long, found: Int, number: Long) -> None:
-    """Find the pairs of a part of the pairs of leaves; found (PARTS, 2, r) has room for r in each.
+def search_part(part: int, m: ContactState, leaves: Long, found: Int, gaps: Float, number: Long) -> None:
+    """Find the pairs of a part of the pairs of leaves, and their gaps; found and gaps (PARTS, 2, r) have room for r in
+    each.
 
     Writes into number (PARTS, 2) their number, or, if negative, the number without room, and the number of pairs of a
     vertex and a triangle.
@@ -267,17 +292,19 @@ def search_part(part: int, m: ContactState, leaves: Long, found: Int, number: Lo
     surface, room, size, listed = m.surface, found.shape[2], 4 * PER_TWO, 0
     mine = leaves[part * leaves.shape[0] // PARTS : (part + 1) * leaves.shape[0] // PARTS]
     some, four, kept = np.empty((2, size), np.int32), np.empty((size, 4), np.int32), np.empty(size, np.int32)
+    between = np.empty((2, size))
     for of_edges in (False, True):
         first = 0
         while first < mine.shape[0] and m.leave[0] == 0:
             first, met = find_pairs(m.tree, of_edges, mine, first, some, four)
             for c in range(met):
                 kept[c] = c
-            for q in range(keep_near(m, of_edges, four, kept[:met], None)):
+            for q in range(keep_near(m, of_edges, four, kept[:met], None, between)):
                 c = kept[q]
                 if surface.meets[surface.piece[four[c, 0]], surface.piece[four[c, 3]]]:
                     if listed < room:
                         found[part, 0, listed], found[part, 1, listed] = some[0, c], some[1, c]
+                        gaps[part, 0, listed], gaps[part, 1, listed] = between[0, c], between[1, c]
                     listed += 1
         if not of_edges:
             number[part, 1] = listed
@@ -285,7 +312,7 @@ def search_part(part: int, m: ContactState, leaves: Long, found: Int, number: Lo
 
 
 @block_kernel
-def enlist_part(part: int, m: ContactState, found: Int, number: Long) -> None:
+def enlist_part(part: int, m: ContactState, found: Int, gaps: Float, number: Long) -> None:
     """Write a part's pairs to the list, as far as there is room: all pairs of a vertex and a triangle, then all of
     edges, part by part. Pairs of a list then have the same order in the next one, wherever parts begin: forces are
     summed, and constraints solved, in that order, in which cloth at rest is to stay at rest.
@@ -303,11 +330,12 @@ def enlist_part(part: int, m: ContactState, found: Int, number: Long) -> None:
             e, f = int(found[part, 0, c]), int(found[part, 1, c])
             pair[at, 0], pair[at, 1], pair[at, 2], pair[at, 3] = vertices_of(m.tree, of_edges, e, f)
             pairs.face[at], pairs.reach[at] = -1 if of_edges else f, -1.0
+            pairs.gaps[0, at], pairs.gaps[1, at] = gaps[part, 0, c], gaps[part, 1, c]
             pairs.key[at] = -e * edges - 1 - f if of_edges else e * faces + f
 
 
-search_parts = over_blocks(search_part, "m, leaves, found, number", order=IN_TURN)
-enlist_parts = over_blocks(enlist_part, "m, found, number", order=IN_TURN)
+search_parts = over_blocks(search_part, "m, leaves, found, gaps, number", order=IN_TURN)
+enlist_parts = over_blocks(enlist_part, "m, found, gaps, number", order=IN_TURN)
 
 
 @block_kernel
@@ -317,8 +345,8 @@ def search(m: ContactState, threads: int | None) -> None:
     number, room = np.empty((PARTS, 2), np.int64), 24 * m.tree.faces.shape[0] // PARTS
     lacking = 1
     while lacking > 0:
-        found = np.empty((PARTS, 2, room), np.int32)
-        search_parts(m, leaves, found, number, PARTS, threads)
+        found, gaps = np.empty((PARTS, 2, room), np.int32), np.empty((PARTS, 2, room))
+        search_parts(m, leaves, found, gaps, number, PARTS, threads)
         if m.leave[0] != 0:
             m.counts[LISTED] = m.counts[LACKING] = m.counts[WITH_FACES] = 0
             return
@@ -327,26 +355,67 @@ def search(m: ContactState, threads: int | None) -> None:
             lacking = max(lacking, -number[part, 0])
             total, of_faces = total + number[part, 0], of_faces + number[part, 1]
         room += lacking
-    enlist_parts(m, found, number, PARTS, threads)
+    enlist_parts(m, found, gaps, number, PARTS, threads)
     places = m.pairs.vertices.shape[0]
     m.counts[LISTED], m.counts[LACKING] = min(total, places), max(0, total - places)
     m.counts[WITH_FACES] = min(of_faces, places)
 
 
 @block_kernel
-def choose_part(part: int, m: ContactState, number: Long) -> None:
+def foretell(m: ContactState, off: Float) -> tuple[float, float]:
+    """Write into off (n,) how far each vertex may be from where the list's plan has it while the near plan holds [m];
+    return the shares of the list's window at which that begins and ends, 1 at most: there, a new list begins.
+    """
+    plan, clock = m.plan, m.clock
+    window = clock[LIST_WINDOW]
+    begin = less(1.0, (clock[NEAR_BEGUN] - clock[LIST_BEGUN]) / window)
+    end = less(1.0, begin + clock[NEAR_WINDOW] / window)
+    share = (end - begin) * window / clock[NEAR_WINDOW]
+    for i in range(0, off.shape[0], WIDTH):
+        count = min(WIDTH, off.shape[0] - i)
+        there, go = read_triple(plan.reference, 0, i, count), read_triple(plan.motion, 0, i, count)
+        first = minus(read_triple(plan.reference, 3, i, count), plus(there, times(splat(begin), go)))
+        way = minus(times(splat(share), read_triple(plan.motion, 3, i, count)), times(splat(end - begin), go))
+        last = plus(first, way)
+        strays = root(higher(dot(first, first), dot(last, last))) + read(plan.spread, 1, i, count)
+        for k in range(count):
+            off[i + k] = lane(strays, k)
+    return begin, end
+
+
+@block_kernel
+def keep_strayed(m: ContactState, of_edges: bool, kept: Int, first: int, off: Float, begin: float, end: float) -> int:
+    """Write into kept (c,) those of as many listed pairs from the first on that the list's plan does not keep apart,
+    off which vertices are up to off (n,) [m]; return their number. Between the shares of its window a pair's gap is
+    concave in time: not below the line between those at its start and end.
+    """
+    pair, gaps, thickness, number = m.pairs.vertices, m.pairs.gaps, m.surface.law[0], 0
+    for c in range(kept.shape[0]):
+        p = np.uint64(first + c)
+        a, b = off[np.uint64(pair[p, 0])], off[np.uint64(pair[p, 1])]
+        k, l = off[np.uint64(pair[p, 2])], off[np.uint64(pair[p, 3])]  # noqa: E741
+        strays = more(a, b) + more(k, l) if of_edges else a + more(b, more(k, l))
+        gap, change = gaps[0, p], gaps[1, p] - gaps[0, p]
+        kept[number] = p
+        number += 1 - int(less(gap + begin * change, gap + end * change) - strays > thickness)
+    return number
+
+
+@block_kernel
+def choose_part(part: int, m: ContactState, off: Float, begin: float, end: float, number: Long) -> None:
     """Choose near pairs among a part of the listed ones; write them into `near` from the part's first place on."""
     pairs, anchored, near, listed = m.pairs, m.anchored, m.pairs.near, m.counts[LISTED]
-    first, end = part * listed // PARTS, (part + 1) * listed // PARTS
-    middle = max(first, min(end, m.counts[WITH_FACES]))
-    for p in range(first, end):
-        near[p] = p
-    chosen = first + keep_near(m, False, pairs.vertices, near[first:middle], pairs.normal)
-    for q in range(middle, middle + keep_near(m, True, pairs.vertices, near[middle:end], pairs.normal)):
-        near[chosen] = near[q]
-        chosen += 1
+    first, last = part * listed // PARTS, (part + 1) * listed // PARTS
+    middle = max(first, min(last, m.counts[WITH_FACES]))
+    chosen = first
+    for of_edges, start, stop in ((False, first, middle), (True, middle, last)):
+        strayed = start + keep_strayed(m, of_edges, near[start:stop], start, off, begin, end)
+        kept = keep_near(m, of_edges, pairs.vertices, near[start:strayed], pairs.normal, None)
+        for q in range(start, start + kept):
+            near[chosen] = near[q]
+            chosen += 1
     q = first
-    for p in range(first, end):
+    for p in range(first, last):
         is_near = q < chosen and near[q] == p
         anchored[p] &= is_near
         q += int(is_near)
@@ -356,7 +425,7 @@ def choose_part(part: int, m: ContactState, number: Long) -> None:
     number[part] = chosen - first
 
 
-choose_parts = over_blocks(choose_part, "m, number", order=IN_TURN)
+choose_parts = over_blocks(choose_part, "m, off, begin, end, number", order=IN_TURN)
 
 
 @block_kernel
@@ -364,8 +433,9 @@ def choose_near(m: ContactState, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others do not touch, and lose their anchors."""
     plan = m.plan
     lay_out(plan.reference[3:], plan.motion[3:], plan.spread[1], plan.ways)
-    number = np.empty(PARTS, np.int64)
-    choose_parts(m, number, PARTS, threads)
+    number, off = np.empty(PARTS, np.int64), np.empty(plan.ways.shape[0])
+    begin, end = foretell(m, off)
+    choose_parts(m, off, begin, end, number, PARTS, threads)
     m.counts[NEAR], m.counts[CHOICES] = close_up(m.pairs.near, m.counts[LISTED], number), m.counts[CHOICES] + 1
     copy_rows(plan.reference[3:], plan.listed[3:6])
     copy_rows(plan.motion[3:], plan.listed[9:12])
@@ -438,8 +508,8 @@ LIST, CHOSEN = range(2)
 BEGUN, LASTS = (LIST_BEGUN, NEAR_BEGUN), (LIST_WINDOW, NEAR_WINDOW)
 WINDOW, SHORTEST, LONGEST = 1.0 / 16.0, 1.0 / 96.0, 4.0
 """shares of an interval for which near pairs are chosen at first, at least and at most"""
-CHOICE = 4.0
-"""To examine a listed pair when near pairs are chosen takes as long as so many examinations of a near one."""
+CHOICE = 1.0
+"""To examine a listed pair when near pairs are chosen takes at most as long as so many examinations of a near one."""
 LISTS, RESTLESS = 1.0, 0.05
 """share of an interval for which the list is made at least; else it is made for two windows of near pairs, or for
 longer and longer, up to LONGEST, while no more than the second share of the vertices need more room for it"""

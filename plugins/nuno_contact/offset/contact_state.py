@@ -127,6 +127,8 @@ class Pairs(NamedTuple):
     """(P,) Coulomb coefficient of a pair"""
     normal: Float
     """(P, 3) of a plane that keeps the pair apart at `last`"""
+    gaps: Float
+    """(2, P) how far apart another keeps it at the start and at the end of the list's plan, without strays [m]"""
     near: Int
     """(P,) the near ones among them"""
     close: Int
@@ -267,6 +269,7 @@ def make_pairs(places: int, blocks: int) -> Pairs:
         damping=np.zeros(places),
         friction=np.zeros(places),
         normal=np.zeros((places, 3)),
+        gaps=np.zeros((2, places)),
         near=np.zeros(places, np.int32),
         close=np.zeros(places, np.int32),
         block_start=np.zeros(blocks + 1, np.int32),

@@ -6,12 +6,10 @@ A parallel region costs its threads a barrier; two updates that follow each othe
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.lanes import WIDTH, read, write
+from nuno_kernels.lanes import WIDTH, dot, minus, read, read_triple, root, splat, where_not_negative, write
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
@@ -81,15 +79,16 @@ def rejoin_block(block: int, v: Float, u: Float, x: Float, meant: Float, last: F
     One that is held where it is swings no farther, either: it would set out anew from there after each kick.
     """
     low, high = block * BLOCK, min((block + 1) * BLOCK, x.shape[1])
-    for i in range(np.uint64(low), np.uint64(high)):
-        gone, whole = 0.0, 0.0
+    for p in range(low, high, WIDTH):
+        m = min(WIDTH, high - p)
+        start = read_triple(last, 0, p, m)
+        way, goal = minus(read_triple(x, 0, p, m), start), minus(read_triple(meant, 0, p, m), start)
+        gone, whole = dot(way, way), dot(goal, goal)
+        share = where_not_negative(gone - whole, splat(1.0), root(gone / whole))
         for row in range(3):
-            gone += (x[row, i] - last[row, i]) ** 2
-            whole += (meant[row, i] - last[row, i]) ** 2
-        share = 1.0 if gone >= whole else math.sqrt(gone / whole)
-        for row in range(3):
-            change[row, i] = (share - 1.0) * v[row, i]
-            v[row, i] = u[row, i] + share * v[row, i]
+            swing = read(v, row, p, m)
+            write(change, row, p, m, (share - 1.0) * swing)
+            write(v, row, p, m, read(u, row, p, m) + share * swing)
 
 
 rejoin_blocks = over_blocks(rejoin_block, "v, u, x, meant, last, change")
