@@ -414,11 +414,11 @@ def choose_part(part: int, m: ContactState, off: Float, begin: float, end: float
         for q in range(start, start + kept):
             near[chosen] = near[q]
             chosen += 1
-    q = first
-    for p in range(first, last):
-        is_near = q < chosen and near[q] == p
-        anchored[p] &= is_near
-        q += int(is_near)
+    is_near = np.zeros(last - first, np.bool_)
+    for q in range(first, chosen):
+        is_near[near[q] - first] = True
+    for p in range(last - first):
+        anchored[first + p] &= is_near[p]
     for q in range(first, chosen):
         if pairs.reach[near[q]] < 0.0:
             measure(m, near[q])

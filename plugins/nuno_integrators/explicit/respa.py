@@ -42,13 +42,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from nuno_integrators.compiled import Compiled, StepResult, Work
 from nuno_integrators.explicit.fixed_step import SymplecticEuler
+from nuno_integrators.explicit.two_rates import TwoRates, two_rates
 from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
@@ -114,13 +115,21 @@ class RespaConfig(Config):
     )
 
 
+class Tension(NamedTuple):
+    """The system of tension, and those of every second step and of the steps between, where it acts at two rates."""
+
+    whole: Packed
+    twice: Packed
+    quick: Packed
+
+
 @kernel
 def advance_respa(
-    x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed, slow: Packed, every: int, soft: Packed,
+    x: Float, v: Float, stages: Float, steps: int, dt: float, tension: Tension, slow: Packed, every: int, soft: Packed,
     soft_every: int,
 ) -> None:  # fmt: skip
-    """Take `steps` steps of x, v (3, n); stages (5, 3, n). p has tension, `soft` the forces that kick every
-    `soft_every` steps, a multiple of `every`, and `slow` all others.
+    """Take `steps` steps of x, v (3, n); stages (5, 3, n). `soft` has the forces that kick every `soft_every` steps, a
+    multiple of `every`, and `slow` all others but tension.
 
     Kicks stand for half of the steps before and half of those after. Contact, which holds cloth off bodies and off
     itself, acts on the mean velocity u since the last kick, by which vertices came to where they are. The velocity
@@ -128,6 +137,7 @@ def advance_respa(
 
     Tension is evaluated halfway through each step: symplectic Euler's steps, from positions half a step ahead.
     """
+    p = tension.whole
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
     step, before, soft_before = 0, 0, 0
     while steps > 0:
@@ -144,8 +154,11 @@ def advance_respa(
         place(slow.bodies, slow.bodies_on, here_x, here_v, step / steps)
         copy_rows(here_x, last)
         add(here_x, here_x, 0.5 * dt, here_v, p.threads)
-        for _ in range(after):
-            add_forces(here_x, here_v, 0.0, to_x, to_v, dt, p)
+        for one in range(step, step + after):
+            if one % 2 == 1:
+                add_forces(here_x, here_v, 0.0, to_x, to_v, dt, tension.quick)
+            else:
+                add_forces(here_x, here_v, 0.0, to_x, to_v, dt, tension.twice if one + 1 < steps else p)
             here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
         step, before = step + after, after
@@ -209,6 +222,11 @@ class Division:
         """Return a step and the longest safe one [s] of whole steps in `span` [s]."""
         return dt, max(dt, span / max(1, math.ceil(span / self.safe)))
 
+    def bears(self, fast: tuple[float, float], slow: tuple[float, float]) -> bool:
+        """Whether kicks with the rates `slow` in every second safe step are stable, and feed nothing with `fast`."""
+        stable_alone = 2.0 * self.safe <= SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
+        return stable_alone and not feeds((fast[0], 0.0), slow, 2.0 * self.safe)
+
     def steps_a_soft_kick(self, dt: float, span: float, kicks: int) -> int:
         """Return for how many steps one kick of forces that are not stiff may stand, a multiple of `kicks`."""
         if not self.rests:
@@ -224,6 +242,8 @@ class RespaWork(Work):
 
     every: int | None
     division: Division
+    rates: TwoRates | None
+    """None where tension acts at one rate: also where gravity acts in every step, which it is to balance there"""
     kicks: int = 1
     dt: float = 0.0
     """steps for each kick, and the step [s], of the last steps"""
@@ -244,7 +264,11 @@ class Respa(Compiled):
 
     def make_work(self, config: RespaConfig, system: System, packed: Packed) -> RespaWork:
         every = None if config.every == "auto" else config.every
-        return RespaWork(packed, np.empty((5, 3, system.fabric.number)), every, divide(system))
+        division = divide(system)
+        rates = (
+            two_rates(system, packed, at_start(system), division.bears) if division.rests and every is None else None
+        )
+        return RespaWork(packed, np.empty((5, 3, system.fabric.number)), every, division, rates)
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Return the limit of all forces with the damping of tension, and of the other forces alone."""
@@ -304,7 +328,9 @@ class Respa(Compiled):
             fast, (slow, soft) = work.division.fast_part(p), work.division.split_kicks(p)
             if work.soft_kicks == work.kicks:
                 slow = work.division.slow_part(p)
-            advance_respa(x, v, stages, steps, dt, fast, slow, work.kicks, soft, work.soft_kicks)
+            at_two = work.rates is not None and dt <= work.division.safe * (1.0 + 1e-9)
+            tension = Tension(fast, *(work.rates.parts(fast) if work.rates and at_two else (fast, fast)))
+            advance_respa(x, v, stages, steps, dt, tension, slow, work.kicks, soft, work.soft_kicks)
 
         return loop
 
