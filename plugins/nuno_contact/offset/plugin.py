@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
+from nuno_contact.crossings import NearPairs
 from nuno_contact.offset.bodies import (
     STANDS,
     copy_part,
@@ -389,6 +390,8 @@ class Offset:
     name: ClassVar[str] = "offset"
     any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = OffsetConfig
+    near_pairs: ClassVar[type[NearPairs]] = NearPairs
+    """What the collision service checks all cloth by, whatever its contact."""
 
     def prepare(
         self, config: OffsetConfig, fabric: Fabric, objects: Mapping[str, Int], meet: Bool, gravity: Float,

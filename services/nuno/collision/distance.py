@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.collision.crossings import Boxes, Long, Mesh, boxes_of, once, overlap
+from nuno.collision.crossings import Mesh
 from nuno_schemas.bodies import (
     BOX,
     CAPSULE,
@@ -30,6 +30,25 @@ from nuno_schemas.bodies import (
 from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.operation import Beside
 from nuno_schemas.vectors import face_areas
+
+Long = NDArray[np.int64]
+Boxes = tuple[Float, Float]
+"""Lower and upper bounds along each of d axes (d, k) [m]."""
+
+
+def _boxes_of(along: Float, vertices: Int) -> Boxes:
+    """Return the boxes of k elements with vertices (k, w), from coordinates `along` (d, n) on d axes."""
+    corners = [along.take(each, axis=1) for each in vertices.T]
+    return functools.reduce(np.minimum, corners), functools.reduce(np.maximum, corners)
+
+
+def _overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> tuple[Long, Long]:
+    """Return the pairs of a, b (k,) whose boxes, of two kinds, overlap."""
+    for low, high, other_low, other_high in zip(*one, *two, strict=True):
+        near = np.flatnonzero((low.take(a) <= other_high.take(b)) & (other_low.take(b) <= high.take(a)))
+        a, b = a.take(near), b.take(near)
+    return a, b
+
 
 # Depth of points inside a closed mesh, independent of the search that contact uses.
 #
@@ -83,7 +102,7 @@ def _tree(points: Float) -> Any:
 
 def make_columns(vertices: Float, faces: Int) -> Columns:
     """List triangles by cells about as wide as they are, so that a cell has few."""
-    lowest, highest = boxes_of(np.ascontiguousarray(vertices.T), faces)
+    lowest, highest = _boxes_of(np.ascontiguousarray(vertices.T), faces)
     least, most = lowest[1:].T, highest[1:].T
     low, high = least.min(axis=0), most.max(axis=0)
     size = max(float((most - least).mean()), float((high - low).max()) / 2048) or 1.0
@@ -114,7 +133,7 @@ def are_inside(points: Float, columns: Columns) -> Bool:
     step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
     along = np.ascontiguousarray(points.T)
     face = columns.listed[np.repeat(columns.start[cell], count) + step]
-    point, face = overlap(point, (along, along), face, columns.reached)
+    point, face = _overlap(point, (along, along), face, columns.reached)
     crossed = np.bincount(point[_cross(points[point], columns, face)], minlength=len(points))
     return np.asarray(crossed % 2 == 1)
 
@@ -377,48 +396,22 @@ def field_distance(p: Float, field: DistanceField) -> Float:
     return np.asarray(values + away)
 
 
-# Least distance of cloth from cloth: of an edge from a triangle that shares no vertex with it.
-#
-# That is the least distance of vertices from triangles and of edges from edges, except for pairs whose neighbours all
-# share vertices, as a corner of cloth and the triangle next to it. It is independent of the solver's lists and of its
-# closest points: by lines and planes where the closest points are inside both, and by the ends of edges.
-
-PARALLEL = 1e-12
-"""Square of the sine between two edges below which their ends are used: the error is a millionth of their length."""
-SURE = 1.0 + 1e-9
-"""Factor over a distance for edges' boxes, which covers rounding."""
+# Distances of cloth from cloth.
 
 
-def least_distance(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> float | None:
-    """Return the least distance [m] of edges from triangles of a mesh x (n, 3), in pairs by number that share no vertex
-    and do not cross; None for more than `within`.
-    """
-    edge, face = pairs
-    along = np.ascontiguousarray(x.T)
-    edges, faces = boxes_of(along, mesh.edges), boxes_of(along, mesh.faces)
-    vertex, below = _near(mesh.edges[edge].ravel().astype(np.int64), (along, along), face.repeat(2), faces, within)
-    least = float(_above(x[vertex], x[mesh.faces[below]]).min(initial=np.inf))
-    one, two = edge.repeat(3), mesh.sides[face].ravel()
-    one, two = _near(np.minimum(one, two), edges, np.maximum(one, two), edges, min(within, SURE * least))
-    least = min(least, _across(x[mesh.edges[one]], x[mesh.edges[two]]))
-    return least if least <= within else None
-
-
-def vertex_distances(x: Float, mesh: Mesh, pairs: tuple[Long, Long], within: float) -> Float:
+def vertex_distances(x: Float, mesh: Mesh, pairs: tuple[Int, Int], within: float) -> Float:
     """Return the distance (n,) [m] of each vertex of a mesh x (n, 3) from triangles of edges and triangles in pairs by
     number that share no vertex, and of each triangle's corners from these vertices; at most `within`.
     """
-    edge, face = pairs
-    vertex, below = once(mesh.edges[edge].ravel().astype(np.int64), face.repeat(2), len(mesh.faces))
+    along = np.ascontiguousarray(x.T)
+    low, high = _boxes_of(along, mesh.faces)
+    vertex, below = mesh.edges[pairs[0]].ravel().astype(np.int64), pairs[1].repeat(2).astype(np.int64)
+    vertex, below = _overlap(vertex, (along, along), below, (low - within, high + within))
+    vertex, below = np.divmod(np.unique(vertex * len(mesh.faces) + below), len(mesh.faces))
     distance, found = to_triangles(x[vertex], x[mesh.faces[below]]), np.full(len(x), within)
     np.minimum.at(found, vertex, distance)
     np.minimum.at(found, mesh.faces[below], distance[:, None])
     return found
-
-
-def _near(a: Long, boxes: Boxes, b: Long, others: Boxes, within: float) -> tuple[Long, Long]:
-    """Return the pairs of a, b (k,) whose boxes are at most `within` apart, each once."""
-    return once(*overlap(a, (boxes[0] - within, boxes[1] + within), b, others), others[0].shape[1])
 
 
 def to_triangles(p: Float, triangle: Float) -> Float:
@@ -436,21 +429,6 @@ def _above(p: Float, triangle: Float) -> Float:
     for start, end in ((a, b), (b, c), (c, a)):
         inside &= _dot(np.cross(end - start, p - start), normal) >= 0.0
     return np.asarray(np.divide(np.abs(_dot(p - a, normal)), size, out=np.full(len(p), np.inf), where=inside))
-
-
-def _across(one: Float, two: Float) -> float:
-    """Return the least distance of edges (k, 2, 3) from edges; inf for none."""
-    (p, q), (a, b) = (edge.transpose(1, 0, 2) for edge in (one, two))
-    least = min(float(_to_edge(*ends).min(initial=np.inf)) for ends in ((p, a, b), (q, a, b), (a, p, q), (b, p, q)))
-    # The shortest line ends inside both edges where s (q - p) - t (b - a) + p - a is perpendicular to both.
-    u, v, r = q - p, b - a, p - a
-    uu, uv, vv, ur, vr = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, r), _dot(v, r)
-    det = uu * vv - uv * uv
-    s, t = uv * vr - vv * ur, uu * vr - uv * ur
-    inside = (det > PARALLEL * uu * vv) & (s > 0.0) & (s < det) & (t > 0.0) & (t < det)
-    way = np.cross(u[inside], v[inside])
-    distance = np.abs(_dot(r[inside], way)) / np.linalg.norm(way, axis=1)
-    return min(least, float(distance.min(initial=np.inf)))
 
 
 def _to_edge(p: Float, a: Float, b: Float) -> Float:

@@ -10,8 +10,8 @@ import numpy as np
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_points
 from nuno.bus.messages import Inbox, Message, Query
 from nuno.collision.bodies import KEPT, NO_SURFACES, Bodies, shared_bodies, surface
-from nuno.collision.crossings import Mesh, NearPairs, find_crossings, mesh_of
-from nuno.collision.distance import Inside, least_distance, measure_inside
+from nuno.collision.crossings import Mesh, find_crossings, look, mesh_of, near_pairs
+from nuno.collision.distance import Inside, measure_inside
 from nuno.collision.messages import (
     DRAWN_QUERY,
     LIVE_BODIES_QUERY,
@@ -55,10 +55,10 @@ class ClothCheck:
         self.meet, self.objects = loaded.scene.meet(), [part.name for part in loaded.scene.objects]
         self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
         """Largest distance that is measured [m]; 0 for contact without a thickness."""
-        self.near: NearPairs | None = None
-        self.through: list[NearPairs] = []
-        """Near pairs of cloth's edges with bodies' triangles, and of bodies' edges with cloth's triangles; the bodies'
-        vertices are numbered after the cloth's."""
+        self.mesh: Mesh | None = None
+        self.through: list[Mesh] = []
+        """Cloth's edges with bodies' triangles, and bodies' edges with cloth's triangles; the bodies' vertices are
+        numbered after the cloth's."""
         self.names: list[str] = []
         self.piece = np.zeros(0, np.int64)
         """(n,) number of each vertex's object."""
@@ -73,28 +73,27 @@ class ClothCheck:
         """Replace the cloth by that of a fabric's message, of triangles `faces` (f, 3)."""
         number = [piece["stop"] - piece["start"] for piece in text["objects"]]
         self.names = [*(str(piece["name"]) for piece in text["objects"]), *self.bodies]
-        mesh, n, no_sides = mesh_of(faces), text["vertices"], np.zeros((0, 3), np.int64)
-        self.near, self.piece = NearPairs(mesh, self.thickness), np.repeat(np.arange(len(self.meet)), number)
-        meshes = Mesh(self.solid.faces + n, mesh.edges, no_sides), Mesh(mesh.faces, self.solid.edges + n, no_sides)
-        self.through = [NearPairs(one, 0.0) for one in meshes]
+        self.mesh, n = mesh_of(faces), np.int32(text["vertices"])
+        self.piece = np.repeat(np.arange(len(self.meet)), number)
+        self.through = [Mesh(self.solid.faces + n, self.mesh.edges), Mesh(faces, self.solid.edges + n)]
 
     def look(self, points: Float, header: Header, poses: Poses | None = None) -> dict[str, Any]:
         """Return the crossings and the distance of a frame's points (n, 3), with bodies at `poses`, for its report.
         Raises BadMessage for points of another cloth.
         """
-        if self.near is None or not np.isfinite(points).all():
+        if self.mesh is None or not np.isfinite(points).all():
             return {}
         if len(points) != len(self.piece):
             raise BadMessage(f"{len(points)} points of a cloth of {len(self.piece)} vertices")
-        mesh, (edge, face) = self.near.mesh, self.near.at(points)
-        one, other = self.piece[mesh.edges[edge, 0]], self.piece[mesh.faces[face, 0]]
-        meeting = self.meet[one, other]
-        pairs = edge[meeting], face[meeting]
-        crossings = [find_crossings(points, mesh, pairs)]
-        distance = 0.0 if len(crossings[0].places) else least_distance(points, mesh, pairs, self.thickness)
+        mesh, (edge, face) = self.mesh, near_pairs(points, self.mesh, self.thickness)
+        if not self.meet.all():
+            meeting = self.meet[self.piece[mesh.edges[edge, 0]], self.piece[mesh.faces[face, 0]]]
+            edge, face = edge[meeting], face[meeting]
+        of_cloth, distance = look(points, mesh, (edge, face), self.thickness)
+        crossings = [of_cloth]
         if poses is not None and self.bodies:
             all_points = np.concatenate([points, self.surface.at(poses)])
-            crossings += [find_crossings(all_points, near.mesh, near.at(all_points)) for near in self.through]
+            crossings += [find_crossings(all_points, one) for one in self.through]
         edges, triangles, crossed = (
             np.concatenate([getattr(one, name) for one in crossings]) for name in ("edges", "triangles", "places")
         )

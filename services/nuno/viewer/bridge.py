@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from nuno.bus.encodings import BadMessage, decode_arrays, decode_picture, decode_points
-from nuno.collision.crossings import NearPairs, mesh_of
+from nuno.collision.crossings import Mesh, mesh_of, near_pairs
 from nuno.collision.distance import vertex_distances
 from nuno.collision.messages import decode_geometry, decode_poses
 from nuno.dye.painter import DyePainter
@@ -175,8 +175,8 @@ class Bridge:
         self._crossings: CrossingsView | None = None
         self._touches: TouchesView | None = None
         self._faces = np.zeros((0, 3), np.int32)
-        self._near: NearPairs | None = None
-        """Pairs of edges and triangles of the cloth that may be near, once a nearness is shown."""
+        self._mesh: Mesh | None = None
+        """The cloth's triangles and edges, once a nearness is shown."""
         self._apart = False
         """Whether the nearness that is shown is none."""
         self._speed = painter.speed if painter is not None else None
@@ -270,7 +270,7 @@ class Bridge:
         pieces, number = cut_pieces(arrays, text), int(text["vertices"])
         self._vertices = number
         self._pinned = arrays["pinned"].astype(bool)
-        self._faces, self._near = arrays["faces"], None
+        self._faces, self._mesh = arrays["faces"], None
         for cloth in self.cloths:
             cloth.clear()
         self.cloths = []
@@ -386,8 +386,8 @@ class Bridge:
     def _show_nearness(self, x: Float, thickness: float, apart: bool) -> None:
         """Colour cloth by how much nearer it is to cloth than its thickness [m], which is nowhere if it is `apart`."""
         meshed = [cloth for cloth in self.cloths if cloth.meshed]
-        if self._near is None:
-            self._near, self._apart = NearPairs(mesh_of(self._faces), thickness), False
+        if self._mesh is None:
+            self._mesh, self._apart = mesh_of(self._faces), False
             self.scales["nearness"].widen(np.array([thickness]))
             for cloth in meshed:
                 self.offer(cloth, "nearness")
@@ -396,7 +396,7 @@ class Bridge:
             return
         values = np.zeros(len(x))
         if not apart:
-            values = thickness - vertex_distances(x, self._near.mesh, self._near.at(x), thickness)
+            values = thickness - vertex_distances(x, self._mesh, near_pairs(x, self._mesh, thickness), thickness)
         for cloth in meshed:
             cloth.log_field("nearness", values[cloth.piece.start : cloth.piece.stop])
         self._apart = apart
