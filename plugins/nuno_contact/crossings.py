@@ -241,9 +241,9 @@ def across(p: Vector, q: Vector, a: Vector, b: Vector) -> float:
     det, s, t = uu * vv - uv * uv, uv * vr - vv * ur, uu * vr - uv * ur
     if det > PARALLEL * uu * vv and s > 0.0 and s < det and t > 0.0 and t < det:
         n = cross(u, v)
-        return abs(dot(r, n)) / math.sqrt(dot(n, n))
-    ends: float = less(from_edge(r, v), from_edge(minus(q, a), v))
-    return min(ends, from_edge(minus(a, p), u), from_edge(minus(b, p), u))
+        nearest: float = abs(dot(r, n)) / math.sqrt(dot(n, n))
+        return nearest
+    return min(from_edge(r, v), from_edge(minus(q, a), v), from_edge(minus(a, p), u), from_edge(minus(b, p), u))
 
 
 @block_kernel
