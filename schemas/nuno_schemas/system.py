@@ -75,7 +75,8 @@ class StepLimit:
 
     dt [s] largest step, inf without a limit; omega [1/s] largest angular frequency;
     damping [1/s] largest rate of velocity damping; resolved [s] largest step at which a method that solves
-    its steps only in part reaches its configured accuracy, inf for other methods.
+    its steps only in part reaches its configured accuracy, or at which dear forces are evaluated least often, inf for
+    other methods.
     """
 
     dt: Annotated[float, Bounds(above=0.0, finite=False)]

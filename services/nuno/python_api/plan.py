@@ -99,7 +99,7 @@ def _cloth(loaded: Loaded) -> list[tuple[str, str]]:
     rows += _texture(simulation)
     seconds = simulation.time_frame()  # this moves the cloth
     solver, limit = simulation.describe_step(loaded.integrator.name, simulation.limit.dt), simulation.limit.resolved
-    rows.append(("solver", solver + (f", solved as configured up to {limit * 1e3:.4g} ms" if limit < math.inf else "")))
+    rows.append(("solver", solver + (f", {limit * 1e3:.4g} ms at most by auto" if limit < math.inf else "")))
     rows += [("chosen", loaded.why)] if loaded.why else []
     return rows + simulation.describe_cost(seconds, _recorded_size(simulation), cloth.estimate_memory(loaded)[1])
 
