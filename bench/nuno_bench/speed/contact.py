@@ -22,7 +22,7 @@ from nuno_contact.offset.candidate_pairs import choose_near, make_list
 from nuno_contact.offset.ccd import is_thorough, pass_by
 from nuno_contact.offset.contact_state import CHOICES, LISTED, LISTS_MADE, STEPS, ContactState
 from nuno_contact.offset.force import drag_anchors, find_touching
-from nuno_contact.offset.impulse import SWEEPS, apply_impulses, farthest_way
+from nuno_contact.offset.impulse import SWEEPS, apply_impulses
 from nuno_integrators.packing import copy_term, silence
 from nuno_kernels.step.acceleration import evaluate
 from nuno_kernels.step.blocks import sum_rows
@@ -203,7 +203,7 @@ class Parts:
         v[:, : len(state.v)] = state.v.T
         there = sum_rows(x, dt, v)
         calls: dict[str, Callable[[], Any]] = {
-            "planes between pairs": lambda: pass_by(m, there, farthest_way(v, dt), threads),
+            "planes between pairs": lambda: pass_by(m, there, v, dt, threads),
             "what touches": lambda: find_touching(m, threads),
             "anchors of friction": lambda: drag_anchors(m, v, threads),
             "brakes": lambda: apply_impulses(m, v.copy(), dt, SWEEPS[1 if len(m.bodies.local) else 0], threads),

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from nuno_contact.offset.bodies import activate
 from nuno_contact.offset.contact_state import (
     CHOICES,
     CLOSE,
@@ -54,7 +55,6 @@ from nuno_kernels.lanes import (
     times,
     where_greater,
     where_not_negative,
-    write,
 )
 from nuno_kernels.step.blocks import Long, copy_rows
 from nuno_kernels.terms import over_blocks
@@ -454,6 +454,7 @@ def make_list(m: ContactState, threads: int | None) -> None:
     copy_rows(plan.spread[:1], plan.listed[12:13])
     search(m, threads)
     m.counts[LISTS_MADE] += 1
+    activate(m, bool(m.bodies.always[0]))
 
 
 @forced_inline
@@ -537,11 +538,22 @@ def off_plan(m: ContactState, which: int, x: Float, share: float, i: int, count:
 
 @block_kernel
 def strays(m: ContactState, which: int, x: Float, share: float) -> bool:
-    """Whether a vertex of x (3, n) is farther from its place in a plan after a share of that than allowed."""
-    for i in range(0, x.shape[1], WIDTH):
-        count = min(WIDTH, x.shape[1] - i)
+    """Whether a vertex of x (3, n), of cloth or active, is farther from its place in a plan after a share of that than
+    allowed.
+    """
+    bodies, all_active = m.bodies.local.shape[0], m.bodies.number[0] == m.bodies.local.shape[0]
+    first, row, motion = x.shape[1] - bodies, 3 * which, m.plan.motion
+    end = x.shape[1] if all_active else first
+    for i in range(0, end, WIDTH):
+        count = min(WIDTH, end - i)
         off, room = off_plan(m, which, x, share, i, count), read(m.plan.spread, which, i, count)
         if lanes_up_to(dot(off, off) - room * room, 0.0) != EVERY:
+            return True
+    for q in range(0 if all_active else m.bodies.number[0]):
+        i = first + m.bodies.active[q]
+        way = minus(point(x, i), (m.plan.reference[row, i], m.plan.reference[row + 1, i], m.plan.reference[row + 2, i]))
+        away = minus(way, (share * motion[row, i], share * motion[row + 1, i], share * motion[row + 2, i]))
+        if not dot(away, away) <= m.plan.spread[which, i] ** 2:
             return True
     return False
 
@@ -550,7 +562,9 @@ def strays(m: ContactState, which: int, x: Float, share: float) -> bool:
 def holds(m: ContactState, which: int, x: Float, s: float, ahead: float) -> bool:
     """Whether a plan holds for vertices x (3, n) at fraction s of the interval, and until `ahead` after that."""
     begun, window = m.clock[BEGUN[which]], m.clock[LASTS[which]]
-    return s + ahead <= begun + window and not strays(m, which, x, (s - begun) / window)
+    if s + ahead > begun + window or (which == LIST and s > m.bodies.until[0]):
+        return False
+    return not strays(m, which, x, (s - begun) / window)
 
 
 @block_kernel
@@ -558,12 +572,17 @@ def learn(m: ContactState, which: int, x: Float, gone: float, share: float) -> N
     """Update `unrest` by how much each vertex of x (3, n) has strayed from a plan that was made `gone` of the interval
     ago; `share` of the plan's window has passed.
     """
+    unrest, first = m.plan.unrest, x.shape[1] - m.bodies.local.shape[0]
     for i in range(0, x.shape[1], WIDTH):
         count = min(WIDTH, x.shape[1] - i)
         off = off_plan(m, which, x, share, i, count)
         # In this order: before the first plan the reference is NaN, which must not enter.
-        before = 0.7 * read(m.plan.unrest, which, i, count)
-        write(m.plan.unrest, which, i, count, higher(root(dot(off, off)) / (gone * gone), before))
+        before = 0.7 * read(unrest, which, i, count)
+        found = higher(root(dot(off, off)) / (gone * gone), before)
+        for k in range(count):
+            # Others were not followed since near pairs were chosen.
+            if which == LIST or i + k < first or m.bodies.is_active[i + k - first]:
+                unrest[which, i + k] = lane(found, k)
 
 
 @block_kernel

@@ -19,7 +19,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.bodies import PLACED, catch_up, copy_part, find_behind, limit_ways, pose_solids
+from nuno_contact.offset.bodies import (
+    PLACED,
+    catch_up,
+    copy_active,
+    copy_part,
+    find_behind,
+    limit_ways,
+    pose_others,
+    pose_solids,
+)
 from nuno_contact.offset.candidate_pairs import CHOSEN, LIST, holds, plan, set_out
 from nuno_contact.offset.contact_state import (
     CHOICES,
@@ -45,7 +54,8 @@ from nuno_contact.offset.impulse import (
     SWEEPS,
     apply_impulses,
     credit_change,
-    farthest_way,
+    find_gaps,
+    lay_ways,
     push_cloth_ahead,
 )
 from nuno_contact.offset.proximity import between, closest, unit, weigh
@@ -53,7 +63,7 @@ from nuno_contact.offset.separating_plane import find_shares, on_the_way, plane_
 from nuno_contact.offset.tree import more
 from nuno_geometry.poses import Vector
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes import dot
+from nuno_kernels.lanes import WIDTH, dot
 from nuno_kernels.step.blocks import Long, all_finite, copy_rows, sum_rows
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float
@@ -76,7 +86,7 @@ def is_thorough(m: ContactState) -> bool:
 
 
 @block_kernel
-def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, failed: Long) -> None:
+def pass_part(part: int, m: ContactState, x: Float, number: Long, failed: Long) -> None:
     """Do pass_by for a part of the near pairs: write the close ones into `close` from the part's first place on, their
     number, and the number of pairs that no plane keeps apart.
     """
@@ -85,20 +95,19 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, fa
     last, near, close = m.last, pairs.near, pairs.close
     thorough, fails = is_thorough(m), 0
     first, end = part * m.counts[NEAR] // PARTS, (part + 1) * m.counts[NEAR] // PARTS
-    at = first
+    at, gaps = first, np.empty((3, end - first + WIDTH))
+    find_gaps(m, near[first:end], gaps)
     for q in range(first, end):
-        p = near[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        there, of_edges = corners_of(x, i, j, k, l), of[p] < 0
-        low, high = between(of_edges, (normal[p, 0], normal[p, 1], normal[p, 2]), there)
-        if low - high > more(reach[p], IMPULSE_RANGE * reach[p] + 2.0 * way):
+        p, apart = near[q], gaps[0, q - first]
+        if apart > more(reach[p], IMPULSE_RANGE * reach[p] + 2.0 * gaps[2, q - first]):
             m.anchored[p] = False
             continue
         close[at] = p
         at += 1
-        if low - high >= CLOSEST * reach[p]:
+        if apart >= CLOSEST * reach[p]:
             continue
-        here = corners_of(last, i, j, k, l)
+        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
+        here, there, of_edges = corners_of(last, i, j, k, l), corners_of(x, i, j, k, l), of[p] < 0
         n, distance = unit(weigh(closest(of_edges, here).weights, here))
         normal[p, 0], normal[p, 1], normal[p, 2] = n
         low, high = between(of_edges, n, there)
@@ -111,18 +120,19 @@ def pass_part(part: int, m: ContactState, x: Float, way: float, number: Long, fa
     number[part], failed[part] = at - first, fails
 
 
-pass_parts = over_blocks(pass_part, "m, x, way, number, lost", WORTH, IN_TURN)
+pass_parts = over_blocks(pass_part, "m, x, number, lost", WORTH, IN_TURN)
 
 
 @block_kernel
-def pass_by(m: ContactState, x: Float, way: float, threads: int | None) -> int:
+def pass_by(m: ContactState, x: Float, v: Float, dt: float, threads: int | None) -> int:
     """Return the number of pairs that no plane keeps apart from `last` to x; each gets its best plane at `last`.
 
-    Pairs that are closer at x than their thickness, or could be too near after a step of `way` [m] each, are noted in
-    m.pairs.close.
+    Pairs that are closer at x than their thickness, or could be too near after a step of dt [s] at v (3, n), are noted
+    in m.pairs.close.
     """
+    lay_ways(m, x, v, dt)
     number, failed = np.empty(PARTS, np.int64), np.empty(PARTS, np.int64)
-    pass_parts(m, x, way, number, failed, PARTS, m.counts[NEAR], threads)
+    pass_parts(m, x, number, failed, PARTS, m.counts[NEAR], threads)
     m.counts[CLOSE] = close_up(m.pairs.close, m.counts[NEAR], number)
     return int(failed.sum())
 
@@ -197,6 +207,8 @@ def limit_step(m: ContactState, x: Float, v: Float, s: float, threads: int | Non
     copy_part(v, velocity, 0, n)
     if limit_whole_step(m, goal, velocity, s, threads):
         copy_part(goal, x, 0, n)
+        if s == 1.0:
+            pose_others(m, s, s)
         if m.bodies.still[0] != PLACED:
             pose_solids(m, s)
             find_behind(m, n)
@@ -218,6 +230,8 @@ def list_for(m: ContactState, x: Float, s: float, threads: int | None) -> bool:
     if renew or not holds(m, CHOSEN, x, s, ahead):
         if not all_finite(x):
             return False
+        if renew:
+            pose_others(m, m.clock[NOW], s)
         plan(m, sum_rows(x, -1.0, m.last), way, ahead, renew, threads)
     return True
 
@@ -232,7 +246,7 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
     # Bodies push on with the present lists, and if new ones show more contacts, with those.
     passes = False
     for _ in range(3 if m.bodies.local.shape[0] > 0 else 0):
-        passes = m.counts[LACKING] == 0 and pass_by(m, x, farthest_way(v, dt), threads) == 0
+        passes = m.counts[LACKING] == 0 and pass_by(m, x, v, dt, threads) == 0
         if m.counts[LACKING] == 0 and not passes:
             push_cloth_ahead(m, x, v, dt, threads)
         lists = m.counts[CHOICES]
@@ -243,16 +257,14 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
         passes = False
     if m.bodies.local.shape[0] == 0 and not list_for(m, x, s, threads):
         return False
-    if not passes and (
-        m.counts[LACKING] > 0 or pass_by(m, x, farthest_way(v, dt) if m.counts[NEAR] > 0 else 0.0, threads) > 0
-    ):
+    if not passes and (m.counts[LACKING] > 0 or pass_by(m, x, v, dt, threads) > 0):
         before = v.copy()
         cut_short(m, x, v, s, threads)
         credit_change(m, sum_rows(v, -1.0, before))
         all_close(m)
     else:
         m.share[:] = 1.0
-    copy_rows(x, m.last)
+    copy_active(m, x, m.last)
     m.clock[NOW], m.clock[LAST_STEP] = s, dt if m.solver.step[0] == 0.0 else 0.0
     find_touching(m, threads)
     drag_anchors(m, v, threads)
@@ -278,6 +290,7 @@ def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None
             copy_rows(at, v)
             for i in range(len(counts)):  # an array assigned to another takes two seconds to compile
                 m.so_far[i] = counts[i]
+        pose_others(m, m.clock[NOW], s)
         # A vertex that stays behind strays by its way: whatever it could meet thereby is listed.
         for i in range(x.shape[1]):
             a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
@@ -297,7 +310,7 @@ def shorten_to_near(m: ContactState, x: Float, v: Float, threads: int | None) ->
     """Shorten ways to x and velocities v (3, n) in place, by the near pairs."""
     if is_thorough(m) and find_shares(m, m.last, sum_rows(x, -1.0, m.last), CLOSEST):
         apply_shares(m, x, v)
-        if pass_by(m, x, 0.0, threads) == 0:
+        if pass_by(m, x, v, 0.0, threads) == 0:
             return
     shorten(m, x)
     apply_shares(m, x, v)
@@ -307,6 +320,7 @@ def shorten_to_near(m: ContactState, x: Float, v: Float, threads: int | None) ->
 def apply_shares(m: ContactState, x: Float, v: Float) -> None:
     """Apply the shares of ways to x and, but for bodies, to velocities v (3, n), in place, and count them."""
     last, share, cloth = m.last, m.share, x.shape[1] - m.bodies.local.shape[0]
+    m.bodies.posed[0] = np.nan
     for i in range(x.shape[1]):
         if share[i] < 1.0:
             if i < cloth:  # bodies' vertices have no mass either, and hold nothing

@@ -105,6 +105,20 @@ class BodyVertices(NamedTuple):
     """(b, 3) where they end"""
     skin_rate: Float
     """(1,) 1 over the interval's duration [1/s]"""
+    active: Int
+    """(b,) in its first `number` places the vertices that are posed in every step: see nuno_contact.offset.bodies"""
+    number: Long
+    """(1,)"""
+    is_active: Bool
+    """(b,) which these are"""
+    always: Bool
+    """(1,) whether all are, for methods that examine all vertices"""
+    posed: Float
+    """(1,) the fraction at which active vertices are in m.goal and m.whole_velocity as posed, NaN for none"""
+    carried: Float
+    """(e, 7) poses of the skins' carriers that skin_end is for"""
+    until: Float
+    """(1,) the fraction of the interval until which the others are as the list's plan has them"""
 
 
 @by_reference
@@ -329,6 +343,13 @@ def make_bodies(solids: Solids) -> BodyVertices:
         skin_begin=np.zeros((skinned, 3)),
         skin_end=np.zeros((skinned, 3)),
         skin_rate=np.zeros(1),
+        active=np.arange(len(solids.x), dtype=np.int32),
+        number=np.full(1, len(solids.x), np.int64),
+        is_active=np.ones(len(solids.x), np.bool_),
+        always=np.zeros(1, np.bool_),
+        posed=np.full(1, np.nan),
+        carried=np.full((len(solids.carrier), 7), np.nan),
+        until=np.full(1, np.inf),
     )
 
 

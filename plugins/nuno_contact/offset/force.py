@@ -269,7 +269,8 @@ def is_fresh(m: ContactState, x: Float, v: Float) -> None:
     if m.bodies.local.shape[0] > 0:
         copy_part(x, m.whole, 0, x.shape[1])
         copy_part(v, m.whole_velocity, 0, x.shape[1])
-        copy_rows(m.whole_velocity, m.solver.velocity)
+        if m.solver.step[0] > 0.0:
+            copy_rows(m.whole_velocity, m.solver.velocity)
     elif m.solver.step[0] > 0.0:
         copy_rows(v, m.solver.velocity)
     if (not m.fresh[0] or m.solver.step[0] > 0.0) and m.counts[SHARED] != m.counts[CHOICES]:

@@ -9,16 +9,29 @@ constraints (nuno_contact.offset.projection).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from nuno_contact.offset.bodies import copy_part
 from nuno_contact.offset.contact_state import CLOSE, IN_TURN, PARTS, WORTH, ContactState, close_up
 from nuno_contact.offset.force import corners_of
-from nuno_contact.offset.proximity import Corners, between, closest, unit, weigh
+from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_kernels import block_kernel, forced_inline, kernel
-from nuno_kernels.lanes import WIDTH, dot, higher, lane, read_triple, splat
-from nuno_kernels.step.blocks import Long, sum_rows
+from nuno_kernels.lanes import (
+    WIDTH,
+    Lanes,
+    Seven,
+    Triple,
+    dot,
+    gather_rows,
+    higher,
+    load,
+    load_triple,
+    lower,
+    root,
+    store,
+    where_not_negative,
+)
+from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import over_blocks
 from nuno_schemas.fabric import Float, Int
 
@@ -34,36 +47,78 @@ edges that are free have a third and more: for them nothing changes."""
 
 
 @block_kernel
-def farthest_way(v: Float, dt: float) -> float:
-    """Return how far the fastest vertex goes in dt [s] at v (3, n) [m]."""
-    fastest, most = splat(0.0), 0.0
-    for i in range(0, v.shape[1], WIDTH):
-        lanes = read_triple(v, 0, i, min(WIDTH, v.shape[1] - i))
-        fastest = higher(dot(lanes, lanes), fastest)
-    for k in range(WIDTH):
-        most = max(most, lane(fastest, k))
-    return dt * math.sqrt(most)
+def lay_ways(m: ContactState, x: Float, v: Float, dt: float) -> None:
+    """Write into m.plan.ways where cloth and active vertices of bodies are, x (3, n), and their ways in dt [s] at v
+    (3, n): one cache line for each.
+    """
+    ways, first = m.plan.ways, x.shape[1] - m.bodies.local.shape[0]
+    for q in range(first + m.bodies.number[0]):
+        i = q if q < first else first + m.bodies.active[q - first]
+        for row in range(3):
+            ways[i, row], ways[i, 3 + row] = x[row, i], dt * v[row, i]
 
 
 @block_kernel
-def fast_part(part: int, m: ContactState, v: Float, dt: float, fast: Int, number: Long) -> None:
+def find_gaps(m: ContactState, chosen: Int, gap: Float) -> None:
+    """Write into gap (3, c + 8) [m] how far apart chosen pairs (c,) are across their planes, by m.plan.ways: where they
+    are, at the end of their ways, and how far any vertex goes relative to the last one, half of what they may come
+    nearer by.
+    """
+    pair, of, normal, ways = m.pairs.vertices, m.pairs.face, m.pairs.normal, m.plan.ways
+    four, across, count = np.zeros((WIDTH, 4), np.int32), np.zeros((4, WIDTH)), chosen.shape[0]
+    for c in range(0, count, WIDTH):
+        for k in range(min(WIDTH, count - c)):
+            p = chosen[c + k]
+            for corner in range(4):
+                four[k, corner] = pair[p, corner]
+            for row in range(3):
+                across[row, k] = normal[p, row]
+            across[3, k] = of[p]
+        first, second = gather_rows(ways, four, 0), gather_rows(ways, four, 1)
+        w = first, second, gather_rows(ways, four, 2), gather_rows(ways, four, 3)
+        n, of_face = load_triple(across, 0, 0), load(across, 3, 0)
+        begin, end = (apart(of_face, n, w, 0.0), apart(of_face, n, w, 1.0))
+        p, q, r = relative(w[0], w[3]), relative(w[1], w[3]), relative(w[2], w[3])
+        store(gap, 0, c, begin)
+        store(gap, 1, c, end)
+        store(gap, 2, c, root(higher(higher(dot(p, p), dot(q, q)), dot(r, r))))
+
+
+@forced_inline
+def apart(of_face: Lanes, n: Triple, w: tuple[Seven, Seven, Seven, Seven], share: float) -> Lanes:
+    """Return how far apart planes across n keep eight pairs after a share of their way."""
+    a, b, c, d = along(n, w[0], share), along(n, w[1], share), along(n, w[2], share), along(n, w[3], share)
+    second = higher(c, d)
+    return where_not_negative(of_face, a, lower(a, b)) - where_not_negative(of_face, higher(b, second), second)
+
+
+@forced_inline
+def along(n: Triple, w: Seven, share: float) -> Lanes:
+    """Return how far along n eight vertices are after a share of their way."""
+    return dot(n, (w[0], w[1], w[2])) if share == 0.0 else dot(n, (w[0] + w[3], w[1] + w[4], w[2] + w[5]))
+
+
+@forced_inline
+def relative(w: Seven, other: Seven) -> Triple:
+    """Return the ways of eight vertices relative to those of others."""
+    return w[3] - other[3], w[4] - other[4], w[5] - other[5]
+
+
+@block_kernel
+def fast_part(part: int, m: ContactState, fast: Int, number: Long) -> None:
     """Find which of a part of the close pairs would come too near: into `fast` from the part's first place on."""
-    pairs = m.pairs
-    pair, of, reach, normal, last, close = pairs.vertices, pairs.face, pairs.reach, pairs.normal, m.last, pairs.close
+    close, reach = m.pairs.close, m.pairs.reach
     first, end = part * m.counts[CLOSE] // PARTS, (part + 1) * m.counts[CLOSE] // PARTS
-    at = first
+    at, gap = first, np.empty((3, end - first + WIDTH))
+    find_gaps(m, close[first:end], gap)
     for q in range(first, end):
-        p = close[q]
-        i, j, k, l = pair[p, 0], pair[p, 1], pair[p, 2], pair[p, 3]  # noqa: E741
-        here, go = corners_of(last, i, j, k, l), corners_of(v, i, j, k, l)
-        low, high = between(of[p] < 0, (normal[p, 0], normal[p, 1], normal[p, 2]), ahead(here, go, dt))
-        if low - high < IMPULSE_RANGE * reach[p]:
-            fast[at] = p
+        if gap[1, q - first] < IMPULSE_RANGE * reach[close[q]]:
+            fast[at] = close[q]
             at += 1
     number[part] = at - first
 
 
-fast_parts = over_blocks(fast_part, "m, v, dt, fast, number", WORTH, IN_TURN)
+fast_parts = over_blocks(fast_part, "m, fast, number", WORTH, IN_TURN)
 
 
 @block_kernel
@@ -73,7 +128,8 @@ def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: i
     pair, of, reach, mass, last = pairs.vertices, pairs.face, pairs.reach, m.surface.mass, m.last
     piece, cloth = m.surface.piece, m.surface.meets.shape[0] - m.push.shape[0]
     fast, counts = np.empty(m.counts[CLOSE], np.int32), np.empty(PARTS, np.int64)
-    fast_parts(m, v, dt, fast, counts, PARTS, m.counts[CLOSE], threads)
+    lay_ways(m, last, v, dt)
+    fast_parts(m, fast, counts, PARTS, m.counts[CLOSE], threads)
     number = close_up(fast, m.counts[CLOSE], counts)
     weights, normal, lacks, mobility = np.empty((number, 4)), np.empty((number, 3)), np.empty(number), np.zeros(number)
     for q in range(number):
@@ -130,27 +186,16 @@ def push_cloth_ahead(m: ContactState, x: Float, v: Float, dt: float, threads: in
     """Let bodies push cloth that they would meet in a step of dt [s] from `last` to x (3, n), in place: the effect of
     forces in the step is known by now.
     """
-    mean = sum_rows(x, -1.0, m.last)
-    for row in range(3):
-        for i in range(x.shape[1]):
-            mean[row, i] /= dt
-    before = mean.copy()
+    mean, last, first = m.way, m.last, x.shape[1] - m.bodies.local.shape[0]
+    before = np.empty((3, first))
+    for q in range(first + m.bodies.number[0]):
+        i = q if q < first else first + m.bodies.active[q - first]
+        for row in range(3):
+            mean[row, i] = (x[row, i] - last[row, i]) / dt
+    copy_part(mean, before, 0, first)
     apply_impulses(m, mean, dt, SWEEPS[1], threads)
-    for i in range(x.shape[1] - m.bodies.local.shape[0]):
+    for i in range(first):
         for row in range(3):
             if mean[row, i] != before[row, i]:
                 x[row, i] = m.last[row, i] + dt * mean[row, i]
                 v[row, i] += mean[row, i] - before[row, i]
-
-
-@forced_inline
-def ahead(x: Corners, v: Corners, dt: float) -> Corners:
-    """Return four vertices after dt."""
-    a, b, c, d = x
-    e, f, g, h = v
-    return (
-        (a[0] + dt * e[0], a[1] + dt * e[1], a[2] + dt * e[2]),
-        (b[0] + dt * f[0], b[1] + dt * f[1], b[2] + dt * f[2]),
-        (c[0] + dt * g[0], c[1] + dt * g[1], c[2] + dt * g[2]),
-        (d[0] + dt * h[0], d[1] + dt * h[1], d[2] + dt * h[2]),
-    )

@@ -12,6 +12,7 @@ from pydantic import BaseModel, Field
 from nuno_contact.crossings import NearPairs
 from nuno_contact.offset.bodies import (
     STANDS,
+    activate,
     copy_part,
     find_behind,
     is_waiting,
@@ -201,7 +202,9 @@ def begin_interval(m: ContactState, x: Float, span: float, threads: int | None) 
         copy_part(x, goal, 0, n)
     begin_whole(m, goal, same_rows(x, m.last), span, threads)
     if m.bodies.local.shape[0] > 0:
+        activate(m, True)
         find_behind(m, n)
+        activate(m, bool(m.bodies.always[0]))
 
 
 @block_kernel

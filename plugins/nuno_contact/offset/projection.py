@@ -34,7 +34,7 @@ import math
 
 import numpy as np
 
-from nuno_contact.offset.bodies import copy_part, limit_ways, pose_solids
+from nuno_contact.offset.bodies import copy_part, keep_all, limit_ways, pose_solids
 from nuno_contact.offset.contact_state import CLOSE, NEAR, ContactState
 from nuno_contact.offset.force import RAMP, STEEPEST, Touch, across, corners_of, faces_of, touch
 from nuno_contact.offset.impulse import IMPULSE_RANGE, LEVER
@@ -60,6 +60,7 @@ def project(m: ContactState, moved: Displaced, s: float, held: Float | None, thr
     if m.bodies.local.shape[0] == 0:
         project_whole(m, moved, s, threads)
         return
+    keep_all(m)
     n, all_of = moved.x.shape[1], m.goal.shape
     x, u, y, mobility = np.empty(all_of), np.empty(all_of), np.empty(all_of), np.zeros((1, all_of[1]))
     copy_part(moved.x, x, 0, n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nuno_contact.offset.bodies import copy_part, pose_solids
+from nuno_contact.offset.bodies import copy_part, keep_all, pose_solids
 from nuno_contact.offset.candidate_pairs import CHOSEN, LEAST, LIST, MOST, WINDOW, allow, holds, learn, set_out
 from nuno_contact.offset.contact_state import (
     CHOICES,
@@ -188,6 +188,7 @@ def restrain(m: ContactState, y: Float, d: Float, s: float, threads: int | None)
         return False
     if m.bodies.local.shape[0] == 0:
         return restrain_whole(m, y, d, s, threads)
+    keep_all(m)
     n, whole, way, goal = y.shape[1], m.whole, m.way, m.goal
     pose_solids(m, s)
     if same_rows(y, m.last):
