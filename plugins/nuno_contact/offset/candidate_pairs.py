@@ -658,12 +658,23 @@ def set_out(m: ContactState, u: Float, way: float, window: float, renew: bool, t
         elif pairs < 0.5 * CROWDED[0] or (pairs < CROWDED[1] and begun < EARLY):
             scale = min(1.0, 1.2 * scale)
         whole, clock[LIST_ROOM] = max(2.0 * window, LISTS), scale
+        if s > clock[LIST_BEGUN] and m.bodies.local.shape[0] > 0:
+            # What a list has for a time that it does not last is found in vain.
+            lived, before = s - clock[LIST_BEGUN], clock[LIST_WINDOW]
+            shorter = max(1.5 * lived, 0.5 * before) if begun < 0.9 else GROWTH * before
+            whole = max(2.0 * window, min(LISTS, shorter))
         longer = min(LONGEST, GROWTH * clock[LIST_WINDOW])
         if begun > EARLY and longer > whole and is_quiet(plan.unrest[0], longer, LEAST[0] * m.surface.law[0]):
             whole = longer
         allow(m, spread[0], plan.unrest[0], whole, LEAST[0], MOST[0])
+        caught = False
+        for i in range(last.shape[1]):
+            caught = caught or pinched[i] < 1.0
         for i in range(last.shape[1]):
             spread[0, i] = scale * spread[0, i] + spread[1, i]
+            if caught:
+                # What is pinched will be again, and whatever stays behind then is to need no other list.
+                spread[0, i] += math.sqrt(u[0, i] * u[0, i] + u[1, i] * u[1, i] + u[2, i] * u[2, i])
             for row in range(3):
                 reference[row, i], motion[row, i] = last[row, i], whole / window * near[row, i]
         clock[LIST_BEGUN], clock[LIST_WINDOW] = s, whole

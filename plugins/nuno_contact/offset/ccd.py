@@ -29,7 +29,7 @@ from nuno_contact.offset.bodies import (
     pose_others,
     pose_solids,
 )
-from nuno_contact.offset.candidate_pairs import CHOSEN, LIST, holds, plan, set_out
+from nuno_contact.offset.candidate_pairs import CHOSEN, LIST, holds, plan, set_out, strays
 from nuno_contact.offset.contact_state import (
     CHOICES,
     CLOSE,
@@ -38,6 +38,8 @@ from nuno_contact.offset.contact_state import (
     IN_TURN,
     LACKING,
     LAST_STEP,
+    LIST_BEGUN,
+    LIST_WINDOW,
     NEAR,
     NEAR_WINDOW,
     NOW,
@@ -290,12 +292,15 @@ def cut_short(m: ContactState, x: Float, v: Float, s: float, threads: int | None
             copy_rows(at, v)
             for i in range(len(counts)):  # an array assigned to another takes two seconds to compile
                 m.so_far[i] = counts[i]
-        pose_others(m, m.clock[NOW], s)
+        # The list does where it holds for what stays where it is, as for what goes on: it then does between the two.
+        renew = strays(m, LIST, last, (s - m.clock[LIST_BEGUN]) / m.clock[LIST_WINDOW])
+        if renew:
+            pose_others(m, m.clock[NOW], s)
         # A vertex that stays behind strays by its way: whatever it could meet thereby is listed.
         for i in range(x.shape[1]):
             a, b, c = x[0, i] - last[0, i], x[1, i] - last[1, i], x[2, i] - last[2, i]
             spread[i] = max(spread[i], np.sqrt(a * a + b * b + c * c))
-        set_out(m, m.plan.zeros, 1.0, m.clock[NEAR_WINDOW], True, threads)
+        set_out(m, m.plan.zeros, 1.0, m.clock[NEAR_WINDOW], renew, threads)
     if m.counts[LACKING] > 0:
         # Unlisted pairs might meet: nothing moves.
         m.so_far[STILL] += 1
