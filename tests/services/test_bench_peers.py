@@ -307,6 +307,7 @@ def test_ipctk_and_ours_answer_alike() -> None:
         ),
         pytest.param("pile_newton", "VBD", {"substeps": 10, "iterations": 4}, 10, 1.0, marks=pytest.mark.full),
         pytest.param("pile_newton", "Style3D", {"substeps": 10, "iterations": 4}, 10, 0.998, marks=pytest.mark.full),
+        pytest.param("pile_mujoco", "IPC", {"dt": 1 / 600}, 10, 1.0, marks=pytest.mark.full),
     ],
 )
 def test_cloth_falls_freely_until_it_meets_anything(
@@ -316,8 +317,8 @@ def test_cloth_falls_freely_until_it_meets_anything(
 
     Velocities are differences of positions in single precision, whose rounding by 3e-8 m adds up to 1.4e-5 m in 30.
     """
-    if "newton" in module:
-        pytest.importorskip("newton", reason="the peer engine newton is not installed")
+    if "_" in module:
+        pytest.importorskip(module.rpartition("_")[2], reason="this peer engine is not installed")
     pile, h = five_sheets(), 1 / 60 / steps
     frames = getattr(importlib.import_module(f"nuno_bench.peers.{module}"), made)(pile, **setting).advance(0.05)
     assert len(frames) == 3

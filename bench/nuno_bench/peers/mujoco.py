@@ -24,7 +24,7 @@ class _MuJoCo:
         import mujoco
 
         self.mujoco, self.sheet, self.dt, self.remark = mujoco, sheet, dt, ""
-        option = f'timestep="{dt!r}" integrator="{integrator}" solver="CG" gravity="{_text(sheet.gravity)}"'
+        option = f'timestep="{dt!r}" integrator="{integrator}" solver="CG" gravity="{as_text(sheet.gravity)}"'
         parts = [f'<option {option}><flag contact="disable"/></option><size memory="2G"/>', self._bodies()]
         self.model = mujoco.MjModel.from_xml_string(f"<mujoco>{''.join(parts)}{self._elastic()}</mujoco>")
         self.data = mujoco.MjData(self.model)
@@ -40,7 +40,7 @@ class _MuJoCo:
                 axes = ("1 0 0", "0 1 0", "0 0 1")
                 inner += "".join(f'<joint type="slide" axis="{axis}"{damping}/>' for axis in axes)
                 inner += f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
-            lines.append(f'<body name="v{i}" pos="{_text(place)}">{inner}</body>')
+            lines.append(f'<body name="v{i}" pos="{as_text(place)}">{inner}</body>')
         return f"<worldbody>{''.join(lines)}</worldbody>"
 
     @abstractmethod
@@ -103,5 +103,6 @@ class Tendons(_MuJoCo):
         return f"<tendon>{''.join(lines)}</tendon>"
 
 
-def _text(values: Float) -> str:
+def as_text(values: Float) -> str:
+    """Return numbers as an attribute has them."""
     return " ".join(repr(float(value)) for value in values)

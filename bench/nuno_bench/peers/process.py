@@ -132,6 +132,10 @@ PILE_KINDS = (
             f"{SAME_PILE}Baraff and Witkin's triangles of the cloth's tension and shear, not narrowing; quadratic "
             "bending of their folds. It takes 0.2% of all velocities away in every step. Its thickness is 6 mm "
             "unless a part of the solver is changed, as it is here but for a row."),
+    _engine("pile_mujoco", "IPC", _at(120) | _at(60),
+            "The same triangles, masses and thickness; no friction, which its contact has not; a plate as stiff in its "
+            "plane and in bending. integrator=discrete with the flag ipc, which commits no position before the way to "
+            "it is found free, and its CG solver."),
     Engine("ipctk", "ipctk", "", "", {},
            "ipc-toolkit has no solver. It judges every engine's frames, and answers questions about ours: see there."),
 )  # fmt: skip
