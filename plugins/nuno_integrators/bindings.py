@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_geometry.poses import carry, pose_frame, write_interval
+from nuno_geometry.skinning import bend_skin
 from nuno_kernels import kernel
 from nuno_kernels.step.blocks import Long
 from nuno_kernels.terms import Displaced, register
@@ -109,7 +110,7 @@ def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
         skin, moving = Skin(bindings.place, bindings.joint, bindings.weight), end.t > start.t
         bound = bindings.local[len(bindings.local) - len(bindings.joint) :]
         for poses, to in ((start, bindings.begin), (end if moving else start, bindings.end)):
-            to[:] = skin.bend(bound, poses.rotation[bindings.carrier], poses.translation[bindings.carrier])
+            to[:] = bend_skin(skin, bound, poses.rotation[bindings.carrier], poses.translation[bindings.carrier])
         bindings.rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 

@@ -42,11 +42,8 @@ class Skin:
         Transactions on Graphics 27(4), 2008). Linear blend skinning adds matrices instead: their sum is not a rotation,
         and joints become thin. The sums are written out, for the same bits on every machine.
         """
-        shift = translation - _turned(rotation, self.place)
-        w, v = rotation[:, :1], rotation[:, 1:]
-        # Half of the shift times the rotation, as quaternions.
-        dual = 0.5 * np.concatenate([-(shift * v).sum(axis=1, keepdims=True), w * shift + np.cross(shift, v)], axis=1)
         real, moved, first = np.zeros((len(x), 4)), np.zeros((len(x), 4)), rotation[self.joint[:, 0]]
+        dual = self.dual(rotation, translation)
         for k in range(self.joint.shape[1]):
             frame = self.joint[:, k]
             turn = rotation[frame]
@@ -58,6 +55,11 @@ class Skin:
         real, moved = real / length, moved / length
         w, v, e, d = real[:, :1], real[:, 1:], moved[:, :1], moved[:, 1:]
         return np.asarray(_turned(real, x) + 2.0 * (w * d - e * v + np.cross(v, d)))
+
+    def dual(self, rotation: Float, translation: Float) -> Float:
+        """Return half of the shift of each frame since the bind pose times its rotation, quaternions (q, 4)."""
+        shift, w, v = translation - _turned(rotation, self.place), rotation[:, :1], rotation[:, 1:]
+        return 0.5 * np.concatenate([-(shift * v).sum(axis=1, keepdims=True), w * shift + np.cross(shift, v)], axis=1)
 
     def beside(self, points: Float, x: Float, faces: Int) -> Skin:
         """Return a skin for points (n, 3) near this skin, with vertices x (v, 3) [m] and triangles faces (f, 3): each

@@ -25,6 +25,7 @@ from nuno_contact.motions.rotations import from_axis_angle, multiply
 from nuno_contact.skinning.figure import find_figure
 from nuno_contact.skinning.weights import HEAT, find_weights, see_bones
 from nuno_geometry.check import volume
+from nuno_geometry.skinning import bend_skin
 from nuno_schemas.bodies import Skin, rotation_matrices
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float, Int
@@ -94,6 +95,14 @@ def test_joints_that_move_as_one_move_the_skin_rigidly(walker: BodyShape) -> Non
     moved = skin.bend(x, np.tile(turn, (len(skin.place), 1)), skin.place @ matrix.T + shift)
     assert np.abs(moved - x @ matrix.T - shift).max() < 1e-12
     assert np.abs(bent(walker, 0.0) - x).max() < 1e-15
+
+
+def test_the_kernel_bends_a_skin_to_the_same_bits(walker: BodyShape) -> None:
+    """As the sums of NumPy do, in all poses of a walk: solvers and services have the body in the same place."""
+    assert walker.pose is not None
+    for t in np.linspace(0.0, 3.0, 7).tolist():
+        moved = bend_skin(walker.skins[0], walker.vertices, *walker.pose(t))
+        assert moved.tobytes() == bent(walker, t).tobytes()
 
 
 def test_a_twisted_tube_keeps_its_girth() -> None:

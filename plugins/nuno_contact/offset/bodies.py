@@ -28,6 +28,7 @@ import numpy as np
 
 from nuno_contact.offset.contact_state import LIST_BEGUN, LIST_WINDOW, LISTED, NOW, ContactState, Solids
 from nuno_geometry.poses import carry, pose_frame, write_interval
+from nuno_geometry.skinning import bend_skin
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_schemas.bodies import NO_SKIN, OF_TRIANGLES, SKIN, Geometry, Poses, Skin, join_skins
 from nuno_schemas.errors import BadInput
@@ -90,13 +91,8 @@ def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:
             end.t > start.t,
         )
         for poses, to in ((start, m.bodies.skin_begin), (end if moving else start, m.bodies.skin_end)):
-            rotation, place = poses.rotation[m.bodies.skin_frame], poses.translation[m.bodies.skin_frame]
-            both = np.concatenate([rotation, place], axis=1)
-            if np.array_equal(both, m.bodies.carried):
-                to[:] = m.bodies.skin_end
-            else:
-                to[mine] = skin.bend(m.bodies.local[mine], rotation, place)
-        m.bodies.carried[:] = both
+            frames = poses.rotation[m.bodies.skin_frame], poses.translation[m.bodies.skin_frame]
+            to[mine] = bend_skin(skin, m.bodies.local[mine], *frames)
         m.bodies.skin_rate[0] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
