@@ -106,8 +106,9 @@ def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> L
 
 
 @forced_inline
-def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
-    """Return the place of the nearest triangle of the tree from node `root` on, starting with that in place `start`.
+def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room, most: float = math.inf) -> int:
+    """Return the place of the nearest triangle of the tree from node `root` on, starting with that in place `start`,
+    which is returned if none is within a squared distance of `most` [m^2].
 
     The search goes up from that leaf to the root, and at each node queues those of the other children that are near
     enough: if the start is good, hardly any. Nodes on the way up are known beforehand, so that the processor works on
@@ -120,7 +121,7 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room) -> int:
     )  # fmt: skip
     start_leaf = start // WIDTH
     values = leaf_distances(px, py, pz, corners, start_leaf)
-    best, which = take_nearest(values, start_leaf, face, lane(values, start % WIDTH), start)
+    best, which = take_nearest(values, start_leaf, face, min(most, lane(values, start % WIDTH)), start)
     node, top = tree.leaf_parent[start_leaf], 0
     visited = 1 << (start_leaf + child[node] + 1)
     if lanes_up_to(box_distances(px, py, pz, boxes, node), best) == EVERY:
@@ -153,13 +154,19 @@ def clamp(value: float) -> float:
 
 @forced_inline
 def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -> tuple[float, float, int]:
-    """Return coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and its feature: 0
-    inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c.
-    """
+    """Return what `nearest_in` does of the triangle in a place."""
     row, j = 9 * (place // WIDTH), place % WIDTH
-    ax, ay, az = px - corners[row, j], py - corners[row + 1, j], pz - corners[row + 2, j]
-    bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
-    cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
+    a = px - corners[row, j], py - corners[row + 1, j], pz - corners[row + 2, j]
+    b = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
+    return nearest_in(a, b, (corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]))
+
+
+@forced_inline
+def nearest_in(from_a: Vector, b: Vector, c: Vector) -> tuple[float, float, int]:
+    """Return coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and its feature: 0
+    inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c; p - a, b - a and c - a are given.
+    """
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = from_a, b, c
     d, e = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
     bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx

@@ -23,25 +23,27 @@ def bend_vertices(x: Float, joint: Int, weight: Float, rotation: Float, dual: Fl
     """Write the positions (s, 3) [m] of vertices x (s, 3): joint, weight (s, k) as in Skin; rotation, dual (q, 4) the
     motion of each frame since the bind pose. Sums are in the order of NumPy's.
     """
-    r, m = np.empty(4), np.empty(4)
     for i in range(x.shape[0]):
         first = joint[i, 0]
-        r[:], m[:] = 0.0, 0.0
+        w, a, b, c, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(joint.shape[1]):
             j = joint[i, k]
             same = rotation[j, 0] * rotation[first, 0] + rotation[j, 1] * rotation[first, 1]
             same = (same + rotation[j, 2] * rotation[first, 2]) + rotation[j, 3] * rotation[first, 3]
             share = -weight[i, k] if same < 0.0 else weight[i, k]
-            for c in range(4):
-                r[c] += share * rotation[j, c]
-                m[c] += share * dual[j, c]
-        length = math.sqrt(((r[0] * r[0] + r[1] * r[1]) + r[2] * r[2]) + r[3] * r[3])
-        w, v, p = r[0] / length, (r[1] / length, r[2] / length, r[3] / length), (x[i, 0], x[i, 1], x[i, 2])
-        e, d = m[0] / length, (m[1] / length, m[2] / length, m[3] / length)
-        a, b = cross(v, p), cross(v, d)
-        turned = cross(v, (a[0] + w * p[0], a[1] + w * p[1], a[2] + w * p[2]))
-        for c in range(3):
-            out[i, c] = (p[c] + 2.0 * turned[c]) + 2.0 * ((w * d[c] - e * v[c]) + b[c])
+            w, a, b, c = (
+                w + share * rotation[j, 0], a + share * rotation[j, 1], b + share * rotation[j, 2],
+                c + share * rotation[j, 3],
+            )  # fmt: skip
+            e, f, g, h = e + share * dual[j, 0], f + share * dual[j, 1], g + share * dual[j, 2], h + share * dual[j, 3]
+        size = math.sqrt(((w * w + a * a) + b * b) + c * c)
+        w, e, v, d, p = w / size, e / size, (a / size, b / size, c / size), (f / size, g / size, h / size), x[i]
+        to = p[0], p[1], p[2]
+        half, along = cross(v, to), cross(v, d)
+        turned = cross(v, (half[0] + w * to[0], half[1] + w * to[1], half[2] + w * to[2]))
+        out[i, 0] = (to[0] + 2.0 * turned[0]) + 2.0 * ((w * d[0] - e * v[0]) + along[0])
+        out[i, 1] = (to[1] + 2.0 * turned[1]) + 2.0 * ((w * d[1] - e * v[1]) + along[1])
+        out[i, 2] = (to[2] + 2.0 * turned[2]) + 2.0 * ((w * d[2] - e * v[2]) + along[2])
 
 
 def bend_skin(skin: Skin, x: Float, rotation: Float, translation: Float) -> Float:

@@ -79,7 +79,7 @@ def find_touched(system: System, packed: Packed, x: Float, v: Float, poses: Pose
                 by[name] = sum(call_each(only, "pushed"), start=_force(only, x, v, 1.0))
             else:  # a sliding surface reacts to all forces, and to what those before have left of them
                 left = _held(x, total, _only(bare, term, alone), poses)
-                by[name], total = left - total, left
+                by[name], total = by.get(name, 0.0) + left - total, left  # skins are terms of their own
     return Touched(by, total)
 
 

@@ -60,7 +60,8 @@ def check(geometry: Geometry) -> None:
         if geometry.kind[primitive] == SKIN:
             raise BadInput(
                 "penalty contact goes by the distance from bodies that do not bend, and a skin does", field=body,
-                remedy=f"cloth_contact: {{plugin: offset, bodies: [{body}]}} meets its triangles",
+                remedy=f"cloth_contact: {{plugin: offset, bodies: [{body}]}} meets its triangles; contact: {{plugin: "
+                "sliding} keeps off vertices and the middles of edges",
             )  # fmt: skip
         raise BadInput(
             "penalty contact knows no meshes",

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from nuno_contact.margins import Margin, check_margin, mesh_margins, triangle_spread
 from nuno_contact.quantities import Size
+from nuno_contact.sliding.skin import SkinSlides, make_skin_slides
 from nuno_contact.sliding.slides import BLOCK, Slides
 from nuno_geometry.check import check_closed, check_crossings
 from nuno_geometry.tree import Tree, build_tree
@@ -128,24 +129,24 @@ class Sliding:
         for body, friction in zip(geometry.bodies, geometry.friction, strict=True):
             if not 0.0 <= friction < np.inf:
                 raise BadInput("friction must not be negative", field=body, value=float(friction), limit=">= 0")
-        parts = zip(geometry.frame.tolist(), geometry.friction[geometry.body].tolist(), strict=True)
-        bodies = list[SlidingBody]()
-        for part, mesh in zip(parts, map(geometry.mesh, range(len(geometry.kind))), strict=True):
-            own = mesh_margins(spread, *mesh) if margin == "auto" else np.where(spread > 0.0, margin, 0.0)
-            bodies.append(SlidingBody(build_tree(*mesh), *part, gap + own))
-        slides = make_slides(bodies, len(geometry.frames), np.where(fabric.pinned, 0.0, fabric.mass))
-        return Term(name="slides", data=(slides,))
+        mass, bodies, skins = np.where(fabric.pinned, 0.0, fabric.mass), list[SlidingBody](), list[SkinSlides]()
+        for part, kind in enumerate(geometry.kind.tolist()):
+            mesh, mu = geometry.mesh(part), float(geometry.friction[geometry.body[part]])
+            # A skin also keeps off the middles of edges, so that triangles are half as long.
+            square = 0.25 * spread if kind == SKIN else spread
+            own = gap + (mesh_margins(square, *mesh) if margin == "auto" else np.where(spread > 0.0, margin, 0.0))
+            if kind == SKIN:
+                skins.append(make_skin_slides(geometry, part, fabric, own))
+            else:
+                bodies.append(SlidingBody(build_tree(*mesh), int(geometry.frame[part]), mu, own))
+        rigid = (make_slides(bodies, len(geometry.frames), mass),) if bodies else ()
+        return Term(name="slides", data=(*rigid, *skins))
 
 
 def check_meshes(geometry: Geometry) -> None:
     """Raise BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
     for primitive, kind in enumerate(geometry.kind.tolist()):
         body = geometry.bodies[geometry.body[primitive]]
-        if kind == SKIN:
-            raise BadInput(
-                "sliding contact is with bodies that do not bend, and a skin does", field=body,
-                remedy=f"cloth_contact: {{plugin: offset, bodies: [{body}]}} meets its triangles",
-            )  # fmt: skip
         if kind not in OF_TRIANGLES:
             raise BadInput(
                 "sliding contact is with meshes", field=body,
@@ -156,7 +157,7 @@ def check_meshes(geometry: Geometry) -> None:
         for check, more in (
             (check_closed, f"--set bodies.{body}.collider.mend=true fills holes"),
             (check_crossings, "cloth in its folds wants collider: {plugin: sdf, ...}, contact: {plugin: penalty}"),
-        ):
+        )[: 1 if kind == SKIN else 2]:
             try:
                 check(x, faces)
             except BadInput as error:
