@@ -26,7 +26,7 @@ from nuno.recording.reader import before_checkpoint, open_recording, recorded_po
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
-from nuno_schemas.bodies import Poses
+from nuno_schemas.bodies import SKIN, Poses
 from nuno_schemas.errors import RunFailed
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.layout import Bounds
@@ -39,12 +39,23 @@ MOST_PLACES = 100
 """Most edges whose crossings are reported."""
 
 
+def checked_bodies(loaded: Loaded, bodies: Bodies | None) -> list[int]:
+    """Return the numbers of bodies that no edge of cloth may pass through: those of the cloth contact, whose law says
+    so, and skins, of which the contact of vertices does not.
+    """
+    if bodies is None:
+        return []
+    skins = bodies.geometry.body[bodies.geometry.kind == SKIN].tolist()
+    return sorted({*loaded.scene.met_bodies, *skins})
+
+
 class ClothCheck:
-    """Checks a run's cloth for crossings with cloth and with the bodies of the cloth contact, and keeps the results."""
+    """Checks a run's cloth for crossings with cloth, with the bodies of the cloth contact and with skins, and keeps the
+    results.
+    """
 
     def __init__(self, loaded: Loaded, bodies: Bodies | None) -> None:
-        assert loaded.cloth_contact is not None
-        numbers = loaded.scene.met_bodies if bodies is not None else []
+        numbers = checked_bodies(loaded, bodies)
         self.bodies = [loaded.scene.bodies[i].name for i in numbers]
         """Names of the bodies."""
         each = [surface(bodies.geometry.of_bodies([i])) for i in numbers] if bodies is not None else []
@@ -53,7 +64,7 @@ class ClothCheck:
         self.body = np.repeat(np.arange(len(each)), [len(one.vertices) for one in each])
         """(v,) number of the body of each surface vertex."""
         self.meet, self.objects = loaded.scene.meet(), [part.name for part in loaded.scene.objects]
-        self.thickness = float(getattr(loaded.cloth_contact.config, "thickness", 0.0))
+        self.thickness = float(getattr(loaded.cloth_contact and loaded.cloth_contact.config, "thickness", 0.0))
         """Largest distance that is measured [m]; 0 for contact without a thickness."""
         self.mesh: Mesh | None = None
         self.through: list[Mesh] = []
@@ -155,11 +166,12 @@ class Collision:
         """Queries for the poses of the next frame that wait for live bodies."""
         self.followed = 0
         """Last frame that live bodies have moved to."""
-        self.cloth = ClothCheck(context.loaded, bodies) if context.loaded.scene.meets else None
-        """None without cloth contact."""
+        checked = context.loaded.scene.meets or checked_bodies(context.loaded, bodies)
+        self.cloth = ClothCheck(context.loaded, bodies) if checked else None
+        """None where cloth may pass through all."""
         self.faces = np.zeros((0, 3), np.int32)
         """(f, 3) triangles of the cloth."""
-        self.met = context.loaded.scene.met_bodies if self.cloth is not None else []
+        self.met = context.loaded.scene.met_bodies
         """Bodies of cloth contact, by number, which cloth enters only by crossings."""
         if self.followers is not None:
             self.poses(0)  # cached before the bodies move on
