@@ -115,8 +115,6 @@ class BodyVertices(NamedTuple):
     """(1,) whether all are, for methods that examine all vertices"""
     posed: Float
     """(1,) the fraction at which active vertices are in m.goal and m.whole_velocity as posed, NaN for none"""
-    carried: Float
-    """(e, 7) poses of the skins' carriers that skin_end is for"""
     until: Float
     """(1,) the fraction of the interval until which the others are as the list's plan has them"""
 
@@ -348,7 +346,6 @@ def make_bodies(solids: Solids) -> BodyVertices:
         is_active=np.ones(len(solids.x), np.bool_),
         always=np.zeros(1, np.bool_),
         posed=np.full(1, np.nan),
-        carried=np.full((len(solids.carrier), 7), np.nan),
         until=np.full(1, np.inf),
     )
 
