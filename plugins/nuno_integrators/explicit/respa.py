@@ -126,13 +126,18 @@ class Tension(NamedTuple):
     quick: Packed
 
 
+class Kicks(NamedTuple):
+    """The systems of forces that kick every so many steps: the `soft` ones at a multiple of the others' number."""
+
+    slow: Packed
+    every: int
+    soft: Packed
+    soft_every: int
+
+
 @kernel
-def advance_respa(
-    x: Float, v: Float, stages: Float, steps: int, dt: float, tension: Tension, slow: Packed, every: int, soft: Packed,
-    soft_every: int,
-) -> None:  # fmt: skip
-    """Take `steps` steps of x, v (3, n); stages (5, 3, n). `soft` has the forces that kick every `soft_every` steps, a
-    multiple of `every`, and `slow` all others but tension.
+def advance_respa(x: Float, v: Float, stages: Float, steps: int, dt: float, tension: Tension, kicks: Kicks) -> None:
+    """Take `steps` steps of x, v (3, n); stages (5, 3, n).
 
     Kicks stand for half of the steps before and half of those after. Contact, which holds cloth off bodies and off
     itself, acts on the mean velocity u since the last kick, by which vertices came to where they are. The velocity
@@ -140,7 +145,7 @@ def advance_respa(
 
     Tension is evaluated halfway through each step: symplectic Euler's steps, from positions half a step ahead.
     """
-    p = tension.whole
+    p, slow, every, soft, soft_every = tension.whole, kicks.slow, kicks.every, kicks.soft, kicks.soft_every
     here_x, here_v, to_x, to_v, a, u, last = x, v, stages[0], stages[1], stages[2], stages[3], stages[4]
     step, before, soft_before = 0, 0, 0
     while steps > 0:
@@ -341,7 +346,7 @@ class Respa(Compiled):
                 slow = work.division.slow_part(p)
             at_two = work.rates is not None and dt <= work.division.safe * (1.0 + 1e-9)
             tension = Tension(fast, *(work.rates.parts(fast) if work.rates and at_two else (fast, fast)))
-            advance_respa(x, v, stages, steps, dt, tension, slow, work.kicks, soft, work.soft_kicks)
+            advance_respa(x, v, stages, steps, dt, tension, Kicks(slow, work.kicks, soft, work.soft_kicks))
 
         return loop
 

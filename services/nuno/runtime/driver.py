@@ -458,6 +458,11 @@ class Driver:
                 self.publish_warnings()
                 self.publish_constant(self.stepper.frame)
                 self.publish(self.stepper.first(), show=True)
+                if not self.follows:
+                    # With it services compile what they look at frames by, which is no time of the run's.
+                    start = time.perf_counter()
+                    self.wait_for(self.stepper.frame)
+                    self.seconds["waiting"], begin = 0.0, begin + time.perf_counter() - start
                 ended = self.follow() if self.follows else self.run()
             summary = self.summary(ended, time.perf_counter() - begin)
             if not self.follows:
