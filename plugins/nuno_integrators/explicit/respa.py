@@ -42,6 +42,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -74,15 +75,21 @@ shortened to no less than this share of the safe one for the sake of fewer kicks
 
 def steps_a_kick(fast: tuple[float, float], slow: tuple[float, float], dt: float) -> int:
     """Return for how many steps of dt [s] one kick may stand, of forces with the rates (omega, damping) [1/s]."""
-    longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
-    if slow[0] > 0.0 and fast[0] > 0.0:
-        resonant = math.pi * max(1.0 / fast[0], (fast[1] / slow[0] / slow[0] / fast[0] / fast[0]) ** (1.0 / 3.0))
-        longest = min(longest, SMOOTH / slow[0], resonant)
-    most = max(1, int(min(MOST, longest / dt)))
+    most = max(1, int(min(MOST, longest_kick(fast, slow) / dt)))
     for steps in range(2, most + 1):
         if feeds(fast, slow, steps * dt):
             return steps - 1
     return most
+
+
+@lru_cache
+def longest_kick(fast: tuple[float, float], slow: tuple[float, float]) -> float:
+    """Return for how long [s] one kick may stand, whatever the step, but for what it feeds."""
+    longest = SAFE * stable_step(SymplecticEuler().amplification, *slow, 0.0)
+    if slow[0] > 0.0 and fast[0] > 0.0:
+        resonant = math.pi * max(1.0 / fast[0], (fast[1] / slow[0] / slow[0] / fast[0] / fast[0]) ** (1.0 / 3.0))
+        longest = min(longest, SMOOTH / slow[0], resonant)
+    return longest
 
 
 def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> bool:
@@ -220,11 +227,10 @@ class Division:
         """Return for how many steps of dt [s] one kick may stand, in an interval of `span` [s] of whole steps: at most
         the number of the longest safe step.
         """
-        most = (
-            min(steps_a_kick(self.fast, self.slow, one), int(min(MOST, self.longest / one)))
-            for one in self._steps(dt, span)
-        )
-        return max(1, min(most))
+        return min(map(self._kicks, self._steps(dt, span)))
+
+    def _kicks(self, dt: float) -> int:
+        return max(1, min(steps_a_kick(self.fast, self.slow, dt), int(min(MOST, self.longest / dt))))
 
     def _steps(self, dt: float, span: float) -> tuple[float, float]:
         """Return a step and the longest safe one [s] of whole steps in `span` [s]."""
@@ -246,7 +252,7 @@ class Division:
     def at_least_cost(self) -> Division:
         """Return the same with the safe step at which steps and DEAR kicks together cost the least."""
         steps = self.safe * np.linspace(1.0, SHORTEST, 51)
-        best = min(steps, key=lambda dt: (1.0 + DEAR / replace(self, safe=dt).steps_a_kick(dt, dt)) / dt)
+        best = min(steps, key=lambda dt: (1.0 + DEAR / self._kicks(dt)) / dt)
         return replace(self, safe=float(best))
 
 
@@ -317,10 +323,10 @@ class Respa(Compiled):
         self.steps_of(work)(work.x, work.v, work.stages, 0, 0.0, packed)
 
     def felt_at(self, work: RespaWork, packed: Packed) -> Float:
-        """Return the velocity before the last kicks, half of which is in the state: v - H / 2 a(v), iterated."""
+        """Return the velocity v before the last kicks, by iteration: a kick changes it by H / 2 a(v)."""
         kicks = work.division.split_kicks(packed)
         a, v = np.empty_like(work.v), work.v
-        for _ in range(0 if _slides(work.packed) else ROUNDS):
+        for _ in range(ROUNDS if any(work.last) and not _slides(work.packed) else 0):
             before = work.v.copy()
             for part, last in zip(kicks, work.last, strict=True):
                 evaluate(work.x, v, 1.0, a, part)
