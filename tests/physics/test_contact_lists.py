@@ -243,7 +243,7 @@ def test_what_comes_within_the_thickness_is_chosen_as_the_list_grows_old(begin: 
         close = set(np.flatnonzero(distance < h).tolist())
         came += len(close)
         assert close <= near
-    off, kept = np.empty(n), np.empty(number, np.int32)
+    off, kept = np.empty((1, n)), np.empty(number, np.int32)
     at = foretell(m, off)
     strayed = [
         int(keep_strayed(m, of_edges, kept[: stop - start], start, off, *at))

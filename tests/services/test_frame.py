@@ -9,9 +9,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import pytest
 from scenes import BALL, write_scene
 
 import nuno
+from nuno.bus.messages import Message
+from nuno.collision.service import Collision
+from nuno.runtime.stepper import Stepped
+from nuno.simulation.run import Simulation
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "services.md"
 NAME = re.compile(r"[A-Za-z_]+\.[a-z_]+|set_[a-z_]+")
@@ -48,3 +53,25 @@ def test_a_frame_passes_what_is_drawn_each_within_what_it_is_drawn_in(tmp_path: 
         around = [(other, outer) for other, outer in around if other < depth]
         assert name in within and {outer for _, outer in around} <= within[name], name
         around.append((depth, name))
+
+
+def test_no_step_is_taken_before_all_services_have_the_first_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What they compile for it is no time of the run's."""
+    stepped, early = threading.Event(), list[bool]()
+    step, measure = Simulation.step, Collision.measure
+
+    def note_step(simulation: Simulation) -> Stepped:
+        stepped.set()
+        return step(simulation)
+
+    def measure_late(collision: Collision, message: Message) -> None:
+        if not early:
+            early.append(stepped.wait(0.3))
+        measure(collision, message)
+
+    monkeypatch.setattr(Simulation, "step", note_step)
+    monkeypatch.setattr(Collision, "measure", measure_late)
+    assert nuno.run(write_scene(tmp_path, duration=0.1, bodies=BALL)).state == "done"
+    assert stepped.is_set() and early == [False]

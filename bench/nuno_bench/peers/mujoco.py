@@ -7,11 +7,12 @@ https://mujoco.readthedocs.io, XML reference: flex/edge, tendon/spatial, option/
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 
 from nuno_bench.peers.problem import Sheet
-from nuno_schemas.fabric import Float
+from nuno_schemas.fabric import Bool, Float
 
 QUIET = '<contact contype="0" conaffinity="0" selfcollide="none"/>'
 
@@ -31,17 +32,8 @@ class _MuJoCo:
         self.drag = -sheet.drag * np.repeat(sheet.mass[sheet.free], 3)
 
     def _bodies(self) -> str:
-        sheet, lines = self.sheet, []
-        drag = sheet.drag * self.damped_joints
-        for i, (place, mass, pinned) in enumerate(zip(sheet.x, sheet.mass.tolist(), sheet.pinned, strict=True)):
-            inner = f'<site name="s{i}"/>'
-            if not pinned:
-                damping = f' damping="{drag * mass!r}"' if drag else ""
-                axes = ("1 0 0", "0 1 0", "0 0 1")
-                inner += "".join(f'<joint type="slide" axis="{axis}"{damping}/>' for axis in axes)
-                inner += f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
-            lines.append(f'<body name="v{i}" pos="{as_text(place)}">{inner}</body>')
-        return f"<worldbody>{''.join(lines)}</worldbody>"
+        drag = self.sheet.drag * self.damped_joints
+        return f"<worldbody>{as_bodies(self.sheet.x, self.sheet.mass, self.sheet.pinned, drag)}</worldbody>"
 
     @abstractmethod
     def _elastic(self) -> str: ...
@@ -57,11 +49,8 @@ class _MuJoCo:
             for _ in range(steps):
                 np.multiply(data.qvel, self.drag, out=data.qfrc_applied)
                 self.mujoco.mj_step(self.model, data)
-        kinds = self.mujoco.mjtWarning
-        bad = [data.warning[kind] for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)]
-        if any(warning.number for warning in bad):
-            raise RuntimeError("MuJoCo calls the simulation unstable and starts it again")
-        unconverged = data.warning[kinds.mjWARN_INERTIA].number
+        require_stable(data)
+        unconverged = data.warning[self.mujoco.mjtWarning.mjWARN_INERTIA].number
         self.remark = f"its linear solve did not converge in {unconverged} of {steps} steps" if unconverged else ""
         x: Float = self.sheet.x.copy()
         x[self.sheet.free] += data.qpos.reshape(-1, 3)
@@ -101,6 +90,28 @@ class Tendons(_MuJoCo):
             own = f'springlength="{float(rest)!r}" stiffness="{float(k)!r}" damping="{float(c)!r}"'
             lines.append(f'<spatial {own}><site site="s{i}"/><site site="s{j}"/></spatial>')
         return f"<tendon>{''.join(lines)}</tendon>"
+
+
+def as_bodies(x: Float, mass: Float, pinned: Bool, drag: float = 0.0) -> str:
+    """Return bodies v0, v1, ... on slides at x (n, 3) [m], of mass (n,) [kg] and drag [1/s], with sites s0, s1, ..."""
+    lines = []
+    for i, (place, own, held) in enumerate(zip(x, mass.tolist(), pinned.tolist(), strict=True)):
+        inner = f'<site name="s{i}"/>'
+        if not held:
+            damping = f' damping="{drag * own!r}"' if drag else ""
+            inner += "".join(f'<joint type="slide" axis="{axis}"{damping}/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+            inner += f'<inertial pos="0 0 0" mass="{own!r}" diaginertia="1e-9 1e-9 1e-9"/>'
+        lines.append(f'<body name="v{i}" pos="{as_text(place)}">{inner}</body>')
+    return "".join(lines)
+
+
+def require_stable(data: Any) -> None:
+    """Raise RuntimeError for a simulation that MuJoCo has begun again."""
+    import mujoco
+
+    kinds = mujoco.mjtWarning
+    if any(data.warning[kind].number for kind in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)):
+        raise RuntimeError("MuJoCo calls the simulation unstable and starts it again")
 
 
 def as_text(values: Float) -> str:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from nuno_bench.peers import pile as problem
-from nuno_bench.peers.mujoco import as_text
+from nuno_bench.peers.mujoco import as_bodies, as_text, require_stable
 from nuno_bench.peers.pile import Pile
 from nuno_bench.peers.problem import RATE
 from nuno_schemas.fabric import Float
@@ -31,13 +31,8 @@ class IPC:
         import mujoco
 
         self.mujoco, self.pile, self.dt, self.remark = mujoco, pile, dt, "contact without friction"
-        x, r, centre = pile.x.tolist(), problem.RADIUS, as_text(np.array(problem.CENTRE))
-        slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-        bodies = "".join(
-            f'<body name="v{i}" pos="{as_text(np.array(place))}">{slides}'
-            f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/></body>'
-            for i, (place, mass) in enumerate(zip(x, pile.mass.tolist(), strict=True))
-        )
+        r, centre = problem.RADIUS, as_text(np.array(problem.CENTRE))
+        bodies = as_bodies(pile.x, pile.mass, np.zeros(len(pile.x), np.bool_))
         option = f'timestep="{dt!r}" integrator="discrete" solver="CG" gravity="{as_text(pile.gravity)}"'
         self.model = mujoco.MjModel.from_xml_string(
             f'<mujoco><option {option}><flag ipc="enable"/></option><size memory="2G"/>'
@@ -69,5 +64,6 @@ class IPC:
         frames = []
         for _ in range(max(1, round(seconds * RATE))):
             self.mujoco.mj_step(self.model, self.data, max(1, round(1 / RATE / self.dt)))
+            require_stable(self.data)
             frames.append(self.pile.x + self.data.qpos.reshape(-1, 3))
         return np.array(frames)

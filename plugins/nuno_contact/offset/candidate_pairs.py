@@ -55,6 +55,7 @@ from nuno_kernels.lanes import (
     times,
     where_greater,
     where_not_negative,
+    write,
 )
 from nuno_kernels.step.blocks import Long, copy_rows
 from nuno_kernels.terms import over_blocks
@@ -363,7 +364,7 @@ def search(m: ContactState, threads: int | None) -> None:
 
 @block_kernel
 def foretell(m: ContactState, off: Float) -> tuple[float, float]:
-    """Write into off (n,) how far each vertex may be from where the list's plan has it while the near plan holds [m];
+    """Write into off (1, n) how far each vertex may be from where the list's plan has it while the near plan holds [m];
     return the shares of the list's window at which that begins and ends, 1 at most: there, a new list begins.
     """
     plan, clock = m.plan, m.clock
@@ -371,29 +372,27 @@ def foretell(m: ContactState, off: Float) -> tuple[float, float]:
     begin = less(1.0, (clock[NEAR_BEGUN] - clock[LIST_BEGUN]) / window)
     end = less(1.0, begin + clock[NEAR_WINDOW] / window)
     share = (end - begin) * window / clock[NEAR_WINDOW]
-    for i in range(0, off.shape[0], WIDTH):
-        count = min(WIDTH, off.shape[0] - i)
+    for i in range(0, off.shape[1], WIDTH):
+        count = min(WIDTH, off.shape[1] - i)
         there, go = read_triple(plan.reference, 0, i, count), read_triple(plan.motion, 0, i, count)
         first = minus(read_triple(plan.reference, 3, i, count), plus(there, times(splat(begin), go)))
         way = minus(times(splat(share), read_triple(plan.motion, 3, i, count)), times(splat(end - begin), go))
         last = plus(first, way)
-        strays = root(higher(dot(first, first), dot(last, last))) + read(plan.spread, 1, i, count)
-        for k in range(count):
-            off[i + k] = lane(strays, k)
+        write(off, 0, i, count, root(higher(dot(first, first), dot(last, last))) + read(plan.spread, 1, i, count))
     return begin, end
 
 
 @block_kernel
 def keep_strayed(m: ContactState, of_edges: bool, kept: Int, first: int, off: Float, begin: float, end: float) -> int:
     """Write into kept (c,) those of as many listed pairs from the first on that the list's plan does not keep apart,
-    off which vertices are up to off (n,) [m]; return their number. Between the shares of its window a pair's gap is
+    off which vertices are up to off (1, n) [m]; return their number. Between the shares of its window a pair's gap is
     concave in time: not below the line between those at its start and end.
     """
     pair, gaps, thickness, number = m.pairs.vertices, m.pairs.gaps, m.surface.law[0], 0
     for c in range(kept.shape[0]):
         p = np.uint64(first + c)
-        a, b = off[np.uint64(pair[p, 0])], off[np.uint64(pair[p, 1])]
-        k, l = off[np.uint64(pair[p, 2])], off[np.uint64(pair[p, 3])]  # noqa: E741
+        a, b = off[0, np.uint64(pair[p, 0])], off[0, np.uint64(pair[p, 1])]
+        k, l = off[0, np.uint64(pair[p, 2])], off[0, np.uint64(pair[p, 3])]  # noqa: E741
         strays = more(a, b) + more(k, l) if of_edges else a + more(b, more(k, l))
         gap, change = gaps[0, p], gaps[1, p] - gaps[0, p]
         kept[number] = p
@@ -433,7 +432,7 @@ def choose_near(m: ContactState, threads: int | None) -> None:
     """Choose the listed pairs that may come near in the near plan; the others do not touch, and lose their anchors."""
     plan = m.plan
     lay_out(plan.reference[3:], plan.motion[3:], plan.spread[1], plan.ways)
-    number, off = np.empty(PARTS, np.int64), np.empty(plan.ways.shape[0])
+    number, off = np.empty(PARTS, np.int64), np.empty((1, plan.ways.shape[0]))
     begin, end = foretell(m, off)
     choose_parts(m, off, begin, end, number, PARTS, threads)
     m.counts[NEAR], m.counts[CHOICES] = close_up(m.pairs.near, m.counts[LISTED], number), m.counts[CHOICES] + 1

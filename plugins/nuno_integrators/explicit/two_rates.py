@@ -1,10 +1,10 @@
 """Tension at two rates: springs that limit the step act in every step, the others twice as strongly in every second.
 
-A few short or stiff springs, or light vertices, set the step for all: of a skirt's 12,000 springs the 864 of the weft
+A few short or stiff springs, or light vertices, set the step for all: of a skirt's 12,000 springs the 1,344 of the weft
 near the waist. The others bear steps twice as long. They are kicks to those few, as contact is to all of tension
 (nuno_integrators.explicit.respa): no farther apart than a share of their own limit, and where they feed no mode of the
-few. Not chosen: more rates, each of which needs springs four times as slow again (measured: a third one diverged or
-gained 3 %), and more mass for the few, which is other cloth.
+few. Not chosen: a third rate, for springs slow enough for four steps are few, and a trial with more of them diverged;
+more mass for the few, which gives longer steps to all, but is other cloth.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ MOST_PLACES = 100
 
 
 def checked_bodies(loaded: Loaded, bodies: Bodies | None) -> list[int]:
-    """Return the numbers of bodies that no edge of cloth may pass through: those of the cloth contact, whose law says
-    so, and skins, of which the contact of vertices does not.
+    """Return the numbers of bodies that no edge of cloth may pass through: those of the cloth contact, which promises
+    it, and skins, whose own contact keeps off points of the cloth but not its edges.
     """
     if bodies is None:
         return []
