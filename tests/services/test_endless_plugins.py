@@ -78,9 +78,12 @@ SECONDS = 100.0
 """Longest that a process is waited for on a busy machine: the services' own patience is 30 s for each."""
 
 
-@pytest.mark.quick(kind=["force"])
+@pytest.mark.quick(kind=["force"], processes=[False])
+@pytest.mark.parametrize("processes", [False, True])
 @pytest.mark.parametrize("kind", ENDLESS)
-def test_a_loop_without_end_is_stopped_and_named(packages: Packages, tmp_path: Path, kind: str) -> None:
+def test_a_loop_without_end_is_stopped_and_named(
+    packages: Packages, tmp_path: Path, kind: str, processes: bool
+) -> None:
     group, code, fields, words = ENDLESS[kind]
     packages.add("endless", SPIN + code, "own = endless:Own", group=group, head=HEAD)
     if kind == "isotherm":
@@ -89,6 +92,7 @@ def test_a_loop_without_end_is_stopped_and_named(packages: Packages, tmp_path: P
     else:
         scene = write_scene(tmp_path, **fields)
     command = [sys.executable, "-c", RUN, "run", str(scene), "--no-view", "--record", str(tmp_path / "run.mcap")]
+    command += ["--processes"] if processes else []
     path = os.environ | {"PYTHONPATH": str(packages.folder / "endless")}
     with subprocess.Popen(command, env=path, stderr=subprocess.PIPE, text=True) as child:
         try:

@@ -17,6 +17,7 @@ from nuno.bus import credentials, sessions
 from nuno.bus.credentials import Kept
 from nuno.bus.sessions import LOOK_SECONDS, SlowConsumers
 from nuno.cli.common import add_config, add_flags, add_set
+from nuno.plugin_contract import containment
 from nuno.process import ENDING, SIGNALS, end_process
 from nuno.runtime import runs
 from nuno.runtime.launch import FINISH_TIMEOUT, LINGER
@@ -81,11 +82,12 @@ def serve_command(args: argparse.Namespace) -> int:
             raise BadInput(problem, field="--config", value=args.config, limit=args.service, remedy=remedy)
     stop, keeping = threading.Event(), threading.Event()
     if args.lifeline:
-        threading.Thread(target=_hold, args=(stop, keeping), name="lifeline", daemon=True).start()
-    loaded = scene_file.read(shipped.find(args.scene), args.overrides, args.root, args.named)
-    if args.service in ("simulation", "recorder", "dye"):
-        # Unlimited, since otherwise slower services would choose another solver.
-        loaded = decide(loaded, Budget(NO_END, lambda text: print(text, file=sys.stderr, flush=True)))
+        threading.Thread(target=_hold, args=(args.run, stop, keeping), name="lifeline", daemon=True).start()
+    with containment.serving(args.run):
+        loaded = scene_file.read(shipped.find(args.scene), args.overrides, args.root, args.named)
+        if args.service in ("simulation", "recorder", "dye"):
+            # Unlimited, since otherwise slower services would choose another solver.
+            loaded = decide(loaded, Budget(NO_END, lambda text: print(text, file=sys.stderr, flush=True)))
     options = Options(args.record, args.save, args.view, args.resume, args.threads, tuple(args.must_see))
     options.real_time = args.real_time
     own = sessions.identity(args.run, args.service)
@@ -116,9 +118,9 @@ def serve_command(args: argparse.Namespace) -> int:
     return 0
 
 
-def _hold(stop: threading.Event, keeping: threading.Event) -> None:
+def _hold(run: str, stop: threading.Event, keeping: threading.Event) -> None:
     """Wait until standard input ends, then end this process: in order, or after a timeout, which is longer if it may
-    have a file to close.
+    have a file to close. A plugin that does not come back is named.
 
     The liveliness of the supervisor is not enough: a service may be compiling or still connecting.
     """
@@ -126,6 +128,7 @@ def _hold(stop: threading.Event, keeping: threading.Event) -> None:
         pass
     stop.set()
     time.sleep(FINISH_TIMEOUT if keeping.is_set() else LINGER)
+    containment.end_calls(run, LINGER)
     end_process(1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,10 @@ from nuno.collision.messages import (
     encode_geometry,
     encode_poses,
 )
+from nuno.plugin_contract import containment
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.reader import before_checkpoint, open_recording, recorded_poses
+from nuno.runtime.driver import LEAVE_AFTER
 from nuno.runtime.service import LOOK_SECONDS, Context, each_message
 from nuno.runtime.stepper import fitting
 from nuno.scene.scene_file import Loaded
@@ -335,7 +338,12 @@ def main(context: Context) -> None:
     if context.options.resume is not None and context.loaded.live:  # a separate process has read only the scene
         with open_recording(context.options.resume) as recording:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
-    inbox = Inbox(context.bus, [CLOTH_AND_STATES])
+
+    def on_query(query: Query) -> None:
+        if query.name == f"finish/{context.bus.service}":  # unanswered while a plugin does not come back
+            Timer(LEAVE_AFTER, containment.end_calls, (context.bus.run, LEAVE_AFTER)).start()
+
+    inbox = Inbox(context.bus, [CLOTH_AND_STATES], on_query=on_query)
     collision = Collision(context, shared_bodies(context.loaded) if scene.bodies else None, inbox)
     for fields in before_checkpoint(context.options.resume, [PENETRATION.name]):
         collision.note(Penetration.model_validate(fields))

@@ -21,6 +21,8 @@ from nuno_schemas.errors import BadInput, RunFailed
 
 LINGER = 0.3
 """Longest wait for the end of services that are not ready, once they are no longer needed [s]."""
+PARTING = 1.0
+"""Longest wait for processes that are not ready to end by themselves, in which they name what holds them [s]."""
 SWITCH_INTERVAL = 5e-4
 """Longest time that a thread keeps Python's lock while others wait for it [s]. By Python's own 5 ms a run of 5 s takes
 7 % longer; a tenth of this gains nothing more."""
@@ -83,19 +85,22 @@ def processes(
             started[name] = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
         yield lambda: {name: _exit(code) for name, child in started.items() if (code := child.poll()) is not None}
     finally:
-        for name, child in started.items():
-            if name not in watch.alive() and not watch.gone(name):
-                child.terminate()  # it may still import or compile, and has nothing to finish
-        _end(list(started.values()))
+        unready = started.keys() - watch.alive()
+        _end(list(started.values()), [started[name] for name in unready if not watch.gone(name)])
 
 
-def _end(children: Sequence[subprocess.Popen[bytes]]) -> None:
+def _end(children: Sequence[subprocess.Popen[bytes]], unready: Sequence[subprocess.Popen[bytes]]) -> None:
     """Wait until all have ended, the recorder with its file closed; kill the rest after the timeout."""
     try:
         # A service that was ready only after the run's failure has never seen a supervisor, and would wait for one.
         for child in children:
             assert child.stdin is not None
             child.stdin.close()
+        end = time.monotonic() + PARTING
+        for child in unready:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.wait(max(0.0, end - time.monotonic()))
+            child.terminate()  # it may still import or compile, and has nothing to finish
         end = time.monotonic() + FINISH_TIMEOUT
         for child in children:
             with contextlib.suppress(subprocess.TimeoutExpired):
