@@ -14,7 +14,18 @@ from pydantic import ValidationError
 from nuno.plugin_contract import registry
 from nuno_contact.offset.plugin import Offset, OffsetConfig
 from nuno_integrators.explicit.fixed_step import NoConfig, SymplecticEuler
-from nuno_integrators.explicit.respa import SAFE, Respa, RespaConfig, at_start, both_rates, divide, steps_a_kick
+from nuno_integrators.explicit.respa import (
+    SAFE,
+    STRETCHED,
+    Respa,
+    RespaConfig,
+    at_start,
+    both_rates,
+    divide,
+    feeds,
+    feeds_stretched,
+    steps_a_kick,
+)
 from nuno_schemas.fabric import Float, Hinges, Springs, State
 from nuno_schemas.system import System, Term
 
@@ -211,6 +222,16 @@ def test_bending_that_is_faster_than_contact_acts_in_every_step() -> None:
         dt = 0.7 * Respa().limit(RespaConfig(), system, State(system.fabric.position, system.fabric.velocity)).dt
         kicks = division.steps_a_kick(dt, dt)
         assert kicks > steps_a_kick(fast, slow, dt) if always else kicks == steps_a_kick(fast, slow, dt)
+
+
+@pytest.mark.parametrize("slow", [2000.0, 4000.0])
+def test_kicks_that_feed_swings_of_stretched_cloth_are_told_by_their_matrix(slow: float) -> None:
+    """As by the eigenvalues of modes up to the greatest that such cloth has, undamped."""
+    fast, told = 21_500.0, []
+    for span in np.linspace(1e-4, 6e-4, 40):
+        told.append(feeds_stretched(fast, slow, span))
+        assert told[-1] == feeds((np.sqrt(STRETCHED) * fast, 0.0), (slow, 0.0), span)
+    assert 0 < sum(told) < len(told)
 
 
 @pytest.mark.parametrize("bend", [1e-3, 1e-2, 3e-2])

@@ -5,7 +5,8 @@ Verlet-I or the reversible reference system propagator (Grubmueller et al. 1991,
 Berne & Martyna 1992, J. Chem. Phys. 97, 1990-2001). Cloth hardly stretches: what limits an explicit step is tension
 alone, whose force is cheap to find. Bending, wind and contact are softer by an order of magnitude or more and cost
 several times as much. A kick of theirs is as strong as the steps that it stands for, and cloth is held off itself
-and off bodies once for each kick, along the straight way since the last one.
+and off bodies once for each kick, along the straight way since the last one. What slides on bodies is held off them
+after every step.
 
 A shorter step takes no more steps to a kick than the step that `dt: auto` takes: both are refined together, or the
 error of the kicks would remain whatever the step.
@@ -55,10 +56,10 @@ from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Packed, add_forces, commit, credit, evaluate, place
+from nuno_kernels.step.acceleration import Packed, add_forces, commit, credit, evaluate, hold, place
 from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
-from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.fabric import Bool, Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
@@ -68,6 +69,9 @@ SAFE, SMOOTH = 0.7, 0.75
 """shares of the stable step, and of a radian"""
 MOST, MODES = 64, 200
 """steps for each kick, and modes of tension that are examined"""
+STRETCHED, FED = 0.35, 50.0
+"""strain up to which kicks of contact feed no swing of cloth across itself, which no spring damps; the rate [1/s] at
+which they may, since the strain is another soon: w_s^2 H / (2 pi) where they meet a mode once in half of its period"""
 DEAR, SHORTEST = 3.0, 0.5
 """A kick with cloth contact is taken to cost so many steps of tension, and more on bodies of many triangles; a step is
 shortened to no less than this share of the safe one for the sake of fewer kicks."""
@@ -111,8 +115,23 @@ def feeds(fast: tuple[float, float], slow: tuple[float, float], span: float) -> 
     return most > 1.0 + 1e-9
 
 
+def feeds_stretched(fast: float, slow: float, span: float) -> bool:
+    """Whether kicks of a force of the frequency `slow` [1/s], `span` [s] apart, let swings grow of cloth that is
+    stretched by up to STRETCHED, whose tension has the greatest frequency `fast` [1/s].
+
+    The matrix of an undamped mode w has the trace 2 cos a - (w_s H)^2 sin a / a, a = w H: at least -2 while
+    (w_s H)^2 <= 2 a / tan(a / 2), which falls with a.
+    """
+    a = math.sqrt(STRETCHED) * fast * span
+    if slow * slow * span <= 2.0 * math.pi * FED or a == 0.0:
+        return False
+    return a >= math.pi or (slow * span) ** 2 > 2.0 * a / math.tan(0.5 * a)
+
+
 TENSION, BENDING = ("springs", "membrane", "yarns"), ("hinges", "bending")
 """kinds of force that act in every step, and those that do so if they are faster than contact"""
+SLIDES = "slides"
+"""name of the terms that hold vertices off bodies on which they slide: after every step"""
 ROUNDS = 8
 """number of fixed-point iterations for a velocity; each halves the error, of what dashpots slow it down in a kick"""
 
@@ -175,7 +194,10 @@ def advance_respa(x: Float, v: Float, stages: Float, steps: int, dt: float, tens
             else:
                 add_forces(here_x, here_v, 0.0, to_x, to_v, dt, tension.twice if one + 1 < steps else p)
             here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
+            if one + 1 < step + after:
+                hold(p.bodies, p.bodies_on, here_x, here_v, (one + 1.5) / steps, p.threads)
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
+        hold(p.bodies, p.bodies_on, here_x, here_v, (step + after) / steps, p.threads)
         step, before = step + after, after
         average(u, here_v, here_x, last, 1.0 / (after * dt), p.threads)
         copy_rows(here_x, to_x)
@@ -209,11 +231,11 @@ class Division:
         """Return the system of what acts in every step."""
         gravity = np.zeros(3) if self.rests else p.gravity
         others = [name for name in parts(p) if name not in self.always]
-        return silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=gravity)
+        return silence(p, *others)._replace(bodies_on=p.bodies_on & sliding(p), damping=0.0, gravity=gravity)
 
     def slow_part(self, p: Packed) -> Packed:
         """Return the system of what acts as kicks."""
-        slow = silence(p, *self.always)
+        slow = silence(p, *self.always)._replace(bodies_on=p.bodies_on & ~sliding(p))
         return slow if self.rests else slow._replace(gravity=np.zeros(3))
 
     def split_kicks(self, p: Packed) -> tuple[Packed, Packed]:
@@ -230,7 +252,10 @@ class Division:
         return min(map(self._kicks, self._steps(dt, span)))
 
     def _kicks(self, dt: float) -> int:
-        return max(1, min(steps_a_kick(self.fast, self.slow, dt), int(min(MOST, self.longest / dt))))
+        kicks = min(steps_a_kick(self.fast, self.slow, dt), int(min(MOST, self.longest / dt)))
+        while self.rests and kicks > 1 and feeds_stretched(self.fast[0], self.slow[0], kicks * dt):
+            kicks -= 1
+        return max(1, kicks)
 
     def _steps(self, dt: float, span: float) -> tuple[float, float]:
         """Return a step and the longest safe one [s] of whole steps in `span` [s]."""
@@ -292,8 +317,6 @@ class Respa(Compiled):
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Return the limit of all forces with the damping of tension, and of the other forces alone."""
-        if has_sliding(system.terms):
-            return SymplecticEuler().limit(config, system, state)
         fast, slow = both_rates(system, state)
         step, whole = stable(fast, slow, system.damping), math.hypot(fast[0], slow[0])
         if config.every != "auto" and math.isfinite(step) and step > 0.0:
@@ -304,8 +327,6 @@ class Respa(Compiled):
 
     def steps_a_kick(self, config: RespaConfig, system: System, dt: float, span: float) -> int:
         """Return the steps of dt [s] for each kick in this system, in frames of `span` [s]."""
-        if has_sliding(system.terms):
-            return 1
         return divide(system).steps_a_kick(dt, span) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, steps: int, dt: float) -> StepResult:
@@ -326,7 +347,7 @@ class Respa(Compiled):
         """Return the velocity v before the last kicks, by iteration: a kick changes it by H / 2 a(v)."""
         kicks = work.division.split_kicks(packed)
         a, v = np.empty_like(work.v), work.v
-        for _ in range(ROUNDS if any(work.last) and not _slides(work.packed) else 0):
+        for _ in range(ROUNDS if any(work.last) else 0):
             before = work.v.copy()
             for part, last in zip(kicks, work.last, strict=True):
                 evaluate(work.x, v, 1.0, a, part)
@@ -343,7 +364,7 @@ class Respa(Compiled):
         """
         always = work.division.always
         alone = not work.packed.bodies and not set(parts(work.packed)) - set(always)
-        if alone or _slides(work.packed):
+        if alone:
             return SymplecticEuler().steps_of(work)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
@@ -361,13 +382,9 @@ class Respa(Compiled):
         return super().about(system) + "; all but tension as kicks every few steps"
 
 
-def has_sliding(terms: Sequence[Term]) -> bool:
-    """Whether vertices slide on bodies."""
-    return any("slow" in kernels_of(part) for term in terms for part in _parts(term))
-
-
-def _slides(packed: Packed) -> bool:
-    return any("slow" in kernels_of(term) for term in packed.bodies)
+def sliding(packed: Packed) -> Bool:
+    """Return which of the bodies' terms hold off bodies what slides on them."""
+    return np.array([kernels_of(term).name == SLIDES for term in packed.bodies], np.bool_)
 
 
 def at_start(system: System) -> State:
