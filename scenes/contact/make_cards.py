@@ -21,7 +21,7 @@ description: A deck of 52 cards, each turned against the one below, falls on a t
 duration: 2.5 s
 until: rest
 frame_rate: 60 Hz
-solver: {plugin: symplectic_euler, dt: auto}
+solver: {plugin: respa, dt: auto}
 damping: 6
 cloth_contact: {plugin: offset, thickness: 1 mm, friction: 0.3}
 bodies:

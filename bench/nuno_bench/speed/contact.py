@@ -121,11 +121,11 @@ def on_over_off(name: str, overrides: Sequence[str], duration: float) -> Contact
         if both[0].frame % every == 0:
             parts.look()
     frames = both[0].frame - first
-    moved = on.fabric.number * both[0].steps * both[0].frame
+    moved = on.fabric.number * parts.contact_steps
     note = (
         f"{both[0].frame} frames of {both[0].steps} steps, {both[0].fabric.number:,} vertices, "
         f"{report.counts['cloth_contacts']:,} contacts at the end, {report.counts['cut_short']:,} of {moved:,} steps "
-        "of vertices cut short"
+        "of vertices in contact cut short"
     )
     a_step = [total / (frames * both[0].steps) for total in spent]
     return ContactCost(a_step[0], a_step[1], parts.each(), spent[0] / frames, note)
@@ -193,7 +193,12 @@ class Parts:
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         self.moments: list[dict[str, float]] = []
-        self.begun = self._counted()
+        self.begun, self.first = self._counted(), simulation.frame
+
+    @property
+    def contact_steps(self) -> int:
+        """Steps of contact so far, of which one with `respa` stands for several of tension."""
+        return self._counted()[2]
 
     def look(self) -> None:
         """Time the parts as the cloth lies now; the run goes on as if it had not been looked at."""
@@ -222,14 +227,15 @@ class Parts:
     def each(self) -> dict[str, float]:
         """Return the time of each part in a step [s], averaged over the moments."""
         lists, choices, steps = (end - begin for end, begin in zip(self._counted(), self.begun, strict=True))
-        often = {"lists": lists / steps, "what is near": choices / steps}
+        taken = self.simulation.steps * (self.simulation.frame - self.first)
+        often = {"lists": lists / taken, "what is near": choices / taken}
         return {
-            name: often.get(name, 1.0) * float(np.mean([moment[name] for moment in self.moments]))
+            name: often.get(name, steps / taken) * float(np.mean([moment[name] for moment in self.moments]))
             for name in self.moments[0]
         }
 
     def _counted(self) -> tuple[int, int, int]:
-        """Lists made so far, choices of what is near of them, and steps."""
+        """Lists made so far, choices of what is near of them, and steps of contact."""
         m = self._meeting
         return int(m.counts[LISTS_MADE]), int(m.counts[CHOICES]), int(m.so_far[STEPS])
 
