@@ -112,12 +112,12 @@ def _in_mesh(x: Float, faces: Int, body: Float, body_faces: Int) -> Bool:
     _, part = connected_components(links, directed=False)
     for one in np.unique(part[faces[:, 0]]).tolist():
         triangles = np.flatnonzero(part[faces[:, 0]] == one)
-        if not found[triangles].any() and _turns_about(x[faces[triangles[0], 0]], solid) > 0.5:
+        if not found[triangles].any() and turns_about(x[faces[triangles[0], 0]], solid) > 0.5:
             found[triangles] = True
     return found
 
 
-def _turns_about(p: Float, t: Float) -> float:
+def turns_about(p: Float, t: Float) -> float:
     """How often a closed mesh of triangles (f, 3, 3) goes round a point, by solid angles."""
     a, b, c = (t[:, k] - p for k in range(3))
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))

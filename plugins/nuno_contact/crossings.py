@@ -1,4 +1,5 @@
-"""Edges that are near to triangles, those that may go through, and the least distance: the collision service's check.
+"""Edges that are near to triangles, those that may go through, and the least distance, and how often closed meshes go
+round points: the collision service's check.
 
 It shares nothing with the contact that prevents crossings but the comparison of sixteen boxes: not its tree, nor its
 lists, its windows of time, its planes or its closest points. So a mistake there shows here.
@@ -267,3 +268,62 @@ def examine(x: Float, edges: Int, faces: Int, edge: Int, face: Int, within: floa
                 nearest = less(across(p, q, ends[0], ends[1]), nearest)
             nearest = less(less(above(p, b, c), above(q, b, c)), nearest)
     return nearest
+
+
+# How often a closed mesh goes round points: so many times more a ray along x leaves it than enters it. Points
+# are listed by the cells of a grid, so that a triangle tests those that may be beside it.
+#
+# Which side of an edge a ray passes is computed from the edge's ends in the order of their numbers, and so with the
+# same bits for both of its triangles: a ray that hits an edge or a vertex crosses exactly one.
+
+MOST_CELLS = 250
+"""Most cells of the grid of points along an axis, whose numbers are short: NumPy sorts those in a tenth of the time."""
+
+
+@forced_inline
+def is_left(y: float, z: float, i: int, j: int, x: Float) -> bool:
+    """Return whether a ray along x at y and z passes to the left of the edge from vertex i to vertex j."""
+    a, b = min(i, j), max(i, j)
+    left = (x[b, 1] - x[a, 1]) * (z - x[a, 2]) - (x[b, 2] - x[a, 2]) * (y - x[a, 1]) >= 0.0
+    return bool(left == (i < j))
+
+
+@block_kernel
+def add_turns(at: Float, first: Long, low: Float, size: float, shape: Long, x: Float, faces: Int, turns: Long) -> None:
+    """Add to turns (n,) how often a mesh x (v, 3), faces (f, 3) goes round points (3, n), of which a grid over y and z,
+    of `shape` cells of `size` from `low` on, has those from first[k] to first[k + 1] in cell k.
+    """
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = vertex(x, i), vertex(x, j), vertex(x, k)
+        x1, y0, z0 = more(more(a[0], b[0]), c[0]), less(less(a[1], b[1]), c[1]), less(less(a[2], b[2]), c[2])
+        y1, z1 = more(more(a[1], b[1]), c[1]), more(more(a[2], b[2]), c[2])
+        rows = max(int((y0 - low[0]) / size), 0), min(int((y1 - low[0]) / size), shape[0] - 1)
+        columns = max(int((z0 - low[1]) / size), 0), min(int((z1 - low[1]) / size), shape[1] - 1)
+        for row in range(rows[0], rows[1] + 1 if columns[0] <= columns[1] else 0):
+            for p in range(first[row * shape[1] + columns[0]], first[row * shape[1] + columns[1] + 1]):
+                y, z = at[1, p], at[2, p]
+                if at[0, p] > x1 or y < y0 or y > y1 or z < z0 or z > z1:
+                    continue
+                left = is_left(y, z, i, j, x)
+                if left == is_left(y, z, j, k, x) and left == is_left(y, z, k, i, x):
+                    n = cross(minus(b, a), minus(c, a))
+                    if dot(minus((at[0, p], y, z), a), n) * n[0] < 0.0:
+                        turns[p] += 1 if left else -1
+
+
+def find_turns(points: Float, x: Float, faces: Int) -> Long:
+    """Return how often a closed mesh x (v, 3), faces (f, 3) goes round points (n, 3), all finite: (n,), 0 outside."""
+    turns, at = np.zeros(len(points), np.int64), np.ascontiguousarray(points.T)
+    if not len(points):
+        return turns
+    low, wide = at[1:].min(axis=1), np.ptp(at[1:], axis=1)
+    size = max(math.sqrt(wide.prod() / len(points)), float(wide.max()) / MOST_CELLS) or 1.0
+    shape = (wide / size).astype(np.int64) + 1
+    cell = ((at[1] - low[0]) / size).astype(np.uint16) * shape[1] + ((at[2] - low[1]) / size).astype(np.uint16)
+    order = np.argsort(cell.astype(np.uint16), kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=shape.prod()))])
+    found = turns.copy()
+    add_turns(at[:, order], first, low, size, shape, x, faces, found)
+    turns[order] = found
+    return turns

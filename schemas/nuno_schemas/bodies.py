@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, Protocol, runtime_checkable
@@ -271,15 +271,16 @@ class Poses:
     rotation: Annotated[Float, "f", 4]
     translation: Annotated[Float, "f", 3]
 
-    def bend(self, skin: Skin, first: int, x: Float) -> Float:
-        """Return the world positions (v, 3) [m] of the vertices x (v, 3) of a skin with frames from number `first` on.
+    def bend(self, skin: Skin, first: int, x: Float, by: Callable[..., Float] = Skin.bend) -> Float:
+        """Return the world positions (v, 3) [m] of the vertices x (v, 3) of a skin with frames from number `first` on;
+        `by` does what Skin.bend does.
 
         Raises IndexError for poses with too few frames.
         """
         frames = slice(first, first + len(skin.place))
         if len(self.rotation[frames]) < len(skin.place):
             raise IndexError(f"a skin on {len(skin.place)} frames from number {first} on, of {len(self.rotation)}")
-        return skin.bend(x, self.rotation[frames], self.translation[frames])
+        return by(skin, x, self.rotation[frames], self.translation[frames])
 
     def same_place(self, other: Poses) -> bool:
         """Return whether the frames have the same poses as others, to the last bit."""

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from persons import skinned
+from cloth_in_bodies import turns_about
+from persons import person, skinned
 
 from nuno.collision import distance as mesh_module
-from nuno.collision.distance import distances, make_columns, measure_inside, penetration, signed_distance
+from nuno.collision.distance import Solid, are_inside, distances, measure_inside, penetration, signed_distance
 from nuno.collision.messages import decode_geometry, decode_poses, encode_geometry, encode_poses
 from nuno.plugin_contract.guards import check_body
 from nuno_schemas.bodies import BOX, CAPSULE, MESH, PLANE, Geometry, Poses, Skin, rotation_matrices
@@ -237,17 +238,39 @@ def test_the_distance_to_a_mesh_is_that_to_all_its_triangles_by_looking_at_few(m
     box = trimesh.creation.box((8.0, 6.0, 10.0))
     fan = trimesh.Trimesh([[2, 0, 0], [3, 0, 0], [2.5, 1e-9, 0], [2.5, 0, 2]], [[0, 1, 2], [2, 1, 3]], process=False)
     mesh = trimesh.util.concatenate([ball, box, fan])
-    columns = make_columns(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32))
+    solid = Solid(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32))
     rng, looked = np.random.default_rng(4), []
     points = np.concatenate(
         [rng.uniform(-6, 6, (80, 3)), 0.99 * ball.vertices[:80], mesh.vertices[-9:], np.zeros((1, 3))]
     )
     original = mesh_module.to_triangles
     monkeypatch.setattr(mesh_module, "to_triangles", lambda p, *t: (looked.append(len(p)), original(p, *t))[1])
-    found = distances(points, columns)
+    found = distances(points, solid)
     _, expected, _ = trimesh.proximity.closest_point_naive(mesh, points)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert (found[-10:-1] < 1e-15).all()
     assert sum(looked) < 0.1 * len(points) * len(mesh.faces)
     monkeypatch.setattr(mesh_module, "AT_ONCE", 1000)
-    assert distances(points, columns).tobytes() == found.tobytes()
+    assert distances(points, solid).tobytes() == found.tobytes()
+
+
+def test_inside_is_where_a_mesh_goes_round_as_solid_angles_have_it() -> None:
+    """Of a person that passes through itself and of boxes, also where rays hit corners and edges; and in folds."""
+    x, faces = person(0.04)
+    x = x + 0.12 * np.sin(9.0 * x[:, 1:2]) * np.array([1.0, 0.0, 0.5])
+    box = trimesh.creation.box(np.full(3, 0.5))
+    boxes = [np.array(box.vertices) + at for at in (np.zeros(3), np.array([0.25, 0.0, 0.0]), np.array([0.0, 0.5, 0.0]))]
+    rng = np.random.default_rng(6)
+    around = x[rng.integers(0, len(x), 500)] + 0.03 * rng.normal(size=(500, 3))
+    grid = np.stack(np.meshgrid(*3 * [np.linspace(-0.45, 0.55, 9)], indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = np.concatenate([grid, [[0.2, 0.25, 0.25], [0.4, 0.25, 0.0], [-0.2, 0.0, 0.0]]])
+    joined = np.concatenate(boxes), np.concatenate([box.faces + 8 * k for k in range(3)]).astype(np.int32)
+    most = 0.0
+    for mesh, points in (((x, faces), around), (joined, corner)):
+        turns = np.array([turns_about(p, mesh[0][mesh[1]]) for p in points])
+        sure = np.abs(turns - turns.round()) < 1e-6  # not on the surface
+        inside = are_inside(points, Solid(*mesh))
+        np.testing.assert_array_equal(inside[sure], turns.round()[sure] != 0.0)
+        assert 50 < inside.sum() < sure.sum() - 50
+        most = max(most, turns[sure].max())
+    assert most > 1.5

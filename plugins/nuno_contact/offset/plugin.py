@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from nuno_contact.crossings import NearPairs
+from nuno_contact.crossings import NearPairs, find_turns
 from nuno_contact.offset.bodies import (
     STANDS,
     activate,
@@ -62,6 +62,7 @@ from nuno_contact.reaction import auto_stiffness
 from nuno_contact.untangle.search import find_crossings
 from nuno_geometry.check import place_of
 from nuno_geometry.closest_point import closest_points
+from nuno_geometry.skinning import bend_skin
 from nuno_geometry.tree import build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.lanes import dot
@@ -394,6 +395,8 @@ class Offset:
     any_numbering: ClassVar[bool] = True
     Config: ClassVar[type[BaseModel]] = OffsetConfig
     near_pairs: ClassVar[type[NearPairs]] = NearPairs
+    find_turns = staticmethod(find_turns)
+    bend_skin = staticmethod(bend_skin)
     """What the collision service checks all cloth by, whatever its contact."""
 
     def prepare(

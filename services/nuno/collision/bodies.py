@@ -9,6 +9,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from nuno.collision.crossings import compiled
 from nuno.scene.scene_file import Loaded
 from nuno_schemas.bodies import BOX, CAPSULE, OF_TRIANGLES, PLANE, Geometry, Poses, Skin, rotation_matrices
 from nuno_schemas.fabric import Float, Int
@@ -199,7 +200,7 @@ class Surfaces:
         placed = np.asarray(turned + poses.translation[self.frame])
         for first, skin in self.skins:
             part = slice(first, first + len(skin.joint))
-            placed[part] = poses.bend(skin, int(self.frame[first]), self.vertices[part])
+            placed[part] = poses.bend(skin, int(self.frame[first]), self.vertices[part], compiled().bend_skin)
         return placed
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,14 @@ from nuno_schemas.fabric import Bool, Float, Int
 CERTAIN = 7.8e-16
 """Share of its terms' sizes above which the sign of a determinant in floating point is exact (Shewchuk 1997, Adaptive
 precision floating-point arithmetic and fast robust geometric predicates, 4.4)."""
+
+
+@cache
+def compiled() -> Any:
+    """Return the contact that comes with nuno, for the parts of this check that are compiled:
+    nuno_contact/crossings.py, and the bending of skins.
+    """
+    return registry.load("nuno.cloth_contacts", "offset")
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class Mesh:
 
     @cached_property
     def near(self) -> Any:
-        """Return the compiled search for near pairs, of the contact that comes with nuno: nuno_contact/crossings.py."""
-        return registry.load("nuno.cloth_contacts", "offset").near_pairs(self.edges, self.faces)
+        """Return the compiled search for near pairs."""
+        return compiled().near_pairs(self.edges, self.faces)
 
 
 def mesh_of(faces: Int) -> Mesh:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nuno.collision.crossings import Mesh
+from nuno.collision.crossings import Mesh, compiled
 from nuno_schemas.bodies import (
     BOX,
     CAPSULE,
@@ -52,34 +52,21 @@ def _overlap(a: Long, one: Boxes, b: Long, two: Boxes) -> tuple[Long, Long]:
 
 # Depth of points inside a closed mesh, independent of the search that contact uses.
 #
-# A point is inside where a ray from it along x crosses the mesh an odd number of times. Triangles are listed by the
-# cells of a grid over y and z, so that a ray tests those of its own cell. Which side of an edge a ray passes is
-# computed from the edge's ends in the order of their numbers, and so with the same bits for both of its triangles: a
-# ray that hits an edge or a vertex crosses exactly one. The distance is computed only for points inside, to the
-# triangles that may be nearer than the nearest centre.
+# A point is inside where the mesh goes round it (nuno_contact/crossings.py). The distance is computed only for points
+# inside, to the triangles that may be nearer than the nearest centre.
 
 AT_ONCE = 2_000_000
 """Pairs of points and triangles whose distances are computed together."""
 ROUNDING = 1e-9
-"""Relative margin for rounding of a triangle's box, in cells, and of the bound of a distance."""
+"""Relative margin for rounding of the bound of a distance."""
 
 
 @dataclass(frozen=True)
-class Columns:
-    """A mesh whose triangles are listed by the cells (y, z) that they overlap.
-
-    low (2,) [m], size [m] and shape (2,) of the cells; triangles of cell k are listed[start[k]:start[k + 1]].
-    Rays that cross a triangle start in its box of `reached`, which is unbounded towards -x.
-    """
+class Solid:
+    """A closed mesh: vertices (v, 3) [m], faces (f, 3)."""
 
     vertices: Float
     faces: Int
-    low: Float
-    size: float
-    shape: tuple[int, int]
-    start: NDArray[np.int64]
-    listed: NDArray[np.int64]
-    reached: Boxes
 
     @cached_property
     def trees(self) -> tuple[Any, list[tuple[Any, float, NDArray[np.int64]]]]:
@@ -100,65 +87,14 @@ def _tree(points: Float) -> Any:
     return KDTree(points, compact_nodes=False, balanced_tree=False)
 
 
-def make_columns(vertices: Float, faces: Int) -> Columns:
-    """List triangles by cells about as wide as they are, so that a cell has few."""
-    lowest, highest = _boxes_of(np.ascontiguousarray(vertices.T), faces)
-    least, most = lowest[1:].T, highest[1:].T
-    low, high = least.min(axis=0), most.max(axis=0)
-    size = max(float((most - least).mean()), float((high - low).max()) / 2048) or 1.0
-    shape = (int((high - low)[0] / size) + 1, int((high - low)[1] / size) + 1)
-    first = ((least - low) / size).astype(np.int64)
-    last = np.minimum(((most - low) / size).astype(np.int64), np.array(shape) - 1)
-    wide = last - first + 1
-    count = wide.prod(axis=1)
-    face = np.repeat(np.arange(len(faces)), count)
-    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-    row, column = first[face, 0] + step // wide[face, 1], first[face, 1] + step % wide[face, 1]
-    cell = row * shape[1] + column
-    order = np.argsort(cell, kind="stable")
-    start = np.searchsorted(cell[order], np.arange(shape[0] * shape[1] + 1))
-    lowest[0] = -np.inf
-    reached = lowest - ROUNDING * size, highest + ROUNDING * size
-    return Columns(vertices, faces, low, size, shape, start.astype(np.int64), face[order], reached)
-
-
-def are_inside(points: Float, columns: Columns) -> Bool:
+def are_inside(points: Float, solid: Solid) -> Bool:
     """Return whether points (n, 3) lie inside, shape (n,)."""
-    place = (points[:, 1:] - columns.low) / columns.size
-    within = ((place >= 0.0) & (place < np.array(columns.shape))).all(axis=1)
-    which = np.flatnonzero(within)
-    cell = place[which].astype(np.int64) @ np.array([columns.shape[1], 1])
-    count = columns.start[cell + 1] - columns.start[cell]
-    point = np.repeat(which, count)
-    step = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
-    along = np.ascontiguousarray(points.T)
-    face = columns.listed[np.repeat(columns.start[cell], count) + step]
-    point, face = _overlap(point, (along, along), face, columns.reached)
-    crossed = np.bincount(point[_cross(points[point], columns, face)], minlength=len(points))
-    return np.asarray(crossed % 2 == 1)
+    return np.asarray(compiled().find_turns(points, solid.vertices, solid.faces) != 0)
 
 
-def _cross(p: Float, columns: Columns, face: NDArray[np.int64]) -> Bool:
-    """Return whether the rays from p (m, 3) towards +x cross the triangles `face` (m,), shape (m,)."""
-    corner = columns.faces[face]
-    sides = []
-    for k in range(3):
-        a, b = corner[:, k], corner[:, (k + 1) % 3]
-        first, second = np.minimum(a, b), np.maximum(a, b)
-        start, along = columns.vertices[first, 1:], columns.vertices[second, 1:] - columns.vertices[first, 1:]
-        off = p[:, 1:] - start
-        left = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0] >= 0.0
-        sides.append(left == (a < b))
-    same_side = (sides[0] == sides[1]) & (sides[1] == sides[2])
-    start, second_corner, third = (columns.vertices[corner[:, k]] for k in range(3))
-    normal = np.cross(second_corner - start, third - start)
-    height = ((p - start) * normal).sum(axis=1)
-    return np.asarray(same_side & (height * normal[:, 0] < 0.0))
-
-
-def distances(points: Float, columns: Columns) -> Float:
+def distances(points: Float, solid: Solid) -> Float:
     """Return the distance (n,) [m] of points (n, 3) to the nearest triangle."""
-    (near, groups), corners = columns.trees, columns.vertices[columns.faces]
+    (near, groups), corners = solid.trees, solid.vertices[solid.faces]
     bound = near.query(points)[0] * (1.0 + ROUNDING)
     least = np.full(len(points), np.inf)
     for tree, size, which in groups:
@@ -175,25 +111,27 @@ def distances(points: Float, columns: Columns) -> Float:
     return least
 
 
-FEW = 32
-"""Triangles of about a size, as large ones of a box, whose distances are computed, not bounded by their centres'."""
 PARTS = np.array([(2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (0, 1, 1), (1, 0, 1), (2 / 3, 2 / 3, 2 / 3)]) / 2.0
 """Barycentric coordinates (7, 3) of the corners of the six parts into which a triangle's medians cut it."""
 WEIGHTS = np.array([1, 1, 1, 1, 1, 1, 3]) / 9.0
 """Share (7,) of the triangle's area at each of them: a third of each part that has it as a corner."""
-_COLUMNS: dict[int, tuple[Geometry, Columns]] = {}
-"""Columns of the last few meshes, by the identity of their geometry."""
+_SOLIDS: dict[int, tuple[Geometry, Solid]] = {}
+"""Meshes of the last few geometries, by their identity."""
 
 
-def columns_of(geometry: Geometry, primitive: int) -> Columns:
-    """Return the columns of a primitive with a mesh, made once."""
+def solid_of(geometry: Geometry, primitive: int, poses: Poses) -> Solid:
+    """Return the mesh of a primitive, made once: in its frame, or where a skin is at `poses`."""
     key = hash((id(geometry), primitive))
-    cached = _COLUMNS.get(key)
+    cached = _SOLIDS.get(key)
     if cached is None or cached[0] is not geometry:
-        while len(_COLUMNS) >= 16:
-            del _COLUMNS[next(iter(_COLUMNS))]
-        cached = _COLUMNS[key] = (geometry, make_columns(*geometry.mesh(primitive)))
-    return cached[1]
+        while len(_SOLIDS) >= 16:
+            del _SOLIDS[next(iter(_SOLIDS))]
+        cached = _SOLIDS[key] = (geometry, Solid(*geometry.mesh(primitive)))
+    solid, skin = cached[1], geometry.skin(primitive)
+    if skin is None:
+        return solid
+    frame = int(geometry.frame[primitive])
+    return Solid(poses.bend(skin, frame, solid.vertices, compiled().bend_skin), solid.faces)
 
 
 def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
@@ -265,15 +203,20 @@ def measure_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses, met: 
         if not len(faces) or geometry.body[i] in met:
             depth = np.maximum(depth, -_lowest(x, geometry, poses, [i], True))
             continue
-        least = _least(x, geometry, poses, i)
+        if geometry.kind[i] in OF_TRIANGLES and geometry.distance_field(i) is None:
+            least = np.full(len(x), -np.inf)  # that of all points takes less than a bound
+        else:
+            least = _lowest(x, geometry, poses, [i])
         entered = np.flatnonzero(finite & (least < 0.0))
-        depth[entered] = np.maximum(depth[entered], -_lowest(x[entered], geometry, poses, [i], True))
         radius = {CAPSULE: float(geometry.radius[i]), PLANE: np.inf}.get(int(geometry.kind[i]), 0.0)
         margin = np.sqrt(radius**2 + spread) - radius if radius < np.inf else 0.0 * spread
         near = np.flatnonzero(np.minimum(np.minimum(least[one], least[two]), least[three]) < margin)
+        between = (PARTS[3:] @ corners[near]).reshape(-1, 3)
+        found, own = _lowest(np.concatenate([x[entered], between]), geometry, poses, [i], True), np.full(len(x), np.inf)
+        own[entered] = found[: len(entered)]
+        depth = np.maximum(depth, -own)
         if len(near):
-            points = (PARTS @ corners[near]).reshape(-1, 3)
-            distance = _lowest(points, geometry, poses, [i], True).reshape(len(near), -1)
+            distance = np.concatenate([own[faces[near]], found[len(entered) :].reshape(len(near), -1)], axis=1)
             inside[near] |= distance < 0.0
             deepest = max(deepest, -float(distance.min()))
     return Inside(depth, float(face_areas(corners) @ (inside @ WEIGHTS)), deepest)
@@ -282,27 +225,6 @@ def measure_inside(x: Float, faces: Int, geometry: Geometry, poses: Poses, met: 
 def _are_finite(points: Float) -> NDArray[np.bool_]:
     """Return whether points (n, 3) are finite, shape (n,). Axis by axis: numpy reduces short rows ten times as long."""
     return np.asarray(np.isfinite(points[:, 0]) & np.isfinite(points[:, 1]) & np.isfinite(points[:, 2]))
-
-
-def _least(x: Float, geometry: Geometry, poses: Poses, i: int) -> Float:
-    """Return lower bounds (n,) [m] of the distances of points x (n, 3) to a primitive, negative inside."""
-    if geometry.kind[i] not in OF_TRIANGLES or geometry.distance_field(i) is not None:
-        return _lowest(x, geometry, poses, [i])
-    vertices, faces = geometry.placed(i, poses)
-    if geometry.kind[i] == SKIN:
-        columns = make_columns(vertices, faces)
-    else:
-        frame = geometry.frame[i]
-        columns, x = columns_of(geometry, i), (x - poses.translation[frame]) @ rotation_matrices(poses.rotation)[frame]
-    x, corners = np.where(np.isfinite(x), x, 0.0), columns.vertices[columns.faces]
-    least = np.where(are_inside(x, columns), -np.inf, np.inf)
-    for tree, size, which in columns.trees[1]:
-        if len(which) > FEW:
-            least = np.minimum(least, tree.query(x)[0] - size)
-        else:
-            every = (to_triangles(x, np.broadcast_to(face, (len(x), 3, 3))) for face in corners[which])
-            least = functools.reduce(np.minimum, every, least)
-    return least
 
 
 def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[int], inside_only: bool = False) -> Float:
@@ -315,47 +237,36 @@ def _lowest(points: Float, geometry: Geometry, poses: Poses, chosen: Iterable[in
     turns = rotation_matrices(poses.rotation)
     for i in chosen:
         if geometry.kind[i] == SKIN:
-            nearest = np.minimum(nearest, _bent(points, geometry, i, poses, inside_only))
+            nearest = np.minimum(nearest, _to_mesh(points, solid_of(geometry, i, poses), inside_only))
             continue
         frame = geometry.frame[i]
         local = (points - poses.translation[frame]) @ turns[frame]
         kind, a, b = int(geometry.kind[i]), geometry.a[i], geometry.b[i]
         if kind in OF_TRIANGLES:
-            distance = _mesh(local, geometry, i, inside_only)
+            distance = _mesh(local, geometry, i, poses, inside_only)
         else:
             distance = _primitive(local, kind, a, b, float(geometry.radius[i]))
         nearest = np.minimum(nearest, distance)
     return np.where(finite, nearest, np.inf)
 
 
-def _mesh(p: Float, geometry: Geometry, i: int, inside_only: bool) -> Float:
+def _mesh(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool) -> Float:
     """Return the distance to a mesh; if contact uses a distance field, that of the field, exact to its tolerance: cloth
     at rest lies inside by the depth of penalty contact, and distances of all its vertices to all triangles would take
     longer than the run.
     """
     if (field := geometry.distance_field(i)) is not None:
         return field_distance(p, field) if isinstance(field, DistanceField) else np.asarray(field.distance(*p.T))
-    return _to_mesh(p, columns_of(geometry, i), inside_only)
+    return _to_mesh(p, solid_of(geometry, i, poses), inside_only)
 
 
-def _bent(p: Float, geometry: Geometry, i: int, poses: Poses, inside_only: bool) -> Float:
-    """Return the distance of points in the world to a skin."""
-    vertices, faces = geometry.placed(i, poses)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    near = ((p >= low) & (p <= high)).all(axis=1) if inside_only else np.ones(len(p), bool)
-    distance = np.full(len(p), np.inf)
-    if near.any():
-        distance[near] = _to_mesh(p[near], make_columns(vertices, faces), inside_only)
-    return distance
-
-
-def _to_mesh(p: Float, columns: Columns, inside_only: bool) -> Float:
-    inside = are_inside(p, columns)
+def _to_mesh(p: Float, solid: Solid, inside_only: bool) -> Float:
+    inside = are_inside(p, solid)
     if not inside_only:
-        return np.where(inside, -1.0, 1.0) * distances(p, columns)
+        return np.where(inside, -1.0, 1.0) * distances(p, solid)
     distance = np.full(len(p), np.inf)
     if inside.any():
-        distance[inside] = -distances(p[inside], columns)
+        distance[inside] = -distances(p[inside], solid)
     return distance
 
 
