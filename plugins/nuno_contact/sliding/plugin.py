@@ -144,7 +144,9 @@ class Sliding:
 
 
 def check_meshes(geometry: Geometry) -> None:
-    """Raise BadInput for a body that is no mesh, has holes, or passes through itself: it has no inside of its own."""
+    """Raise BadInput for a body that is no mesh or has holes, and for a rigid one that passes through itself, which has
+    no inside of its own. Skins do where limbs meet.
+    """
     for primitive, kind in enumerate(geometry.kind.tolist()):
         body = geometry.bodies[geometry.body[primitive]]
         if kind not in OF_TRIANGLES:
@@ -153,11 +155,10 @@ def check_meshes(geometry: Geometry) -> None:
                 remedy="give the body a mesh as collider, or contact: {plugin: penalty} of its own",
             )  # fmt: skip
         x, faces = geometry.mesh(primitive)
+        closed = (check_closed, f"--set bodies.{body}.collider.mend=true fills holes")
         # A mesh that passes through itself has no hole to be filled.
-        for check, more in (
-            (check_closed, f"--set bodies.{body}.collider.mend=true fills holes"),
-            (check_crossings, "cloth in its folds wants collider: {plugin: sdf, ...}, contact: {plugin: penalty}"),
-        )[: 1 if kind == SKIN else 2]:
+        apart = (check_crossings, "cloth in its folds wants collider: {plugin: sdf, ...}, contact: {plugin: penalty}")
+        for check, more in (closed,) if kind == SKIN else (closed, apart):
             try:
                 check(x, faces)
             except BadInput as error:

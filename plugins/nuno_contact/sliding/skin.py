@@ -60,8 +60,6 @@ class SkinSlides(NamedTuple):
     """as in Skin"""
     carrier: Int
     """(q,) its frames among all"""
-    posed: Float
-    """(q, 7) rotation and translation of its frames at mesh.end; NaN at first"""
     ends: Int
     """(p, 2) vertices of each point, twice the same for a vertex"""
     margin: Float
@@ -181,10 +179,7 @@ def set_skin_poses(m: SkinSlides, start: Poses, end: Poses) -> None:
     """Write the interval into the term."""
     skin, moving = Skin(m.place, m.joint, m.weight), end.t > start.t
     for poses, to in ((start, m.mesh.start), (end if moving else start, m.mesh.end)):
-        frames = poses.rotation[m.carrier], poses.translation[m.carrier]
-        known = np.array_equal(posed := np.concatenate(frames, axis=1), m.posed)
-        to[:] = m.mesh.end if known else bend_skin(skin, m.local, *frames)
-    m.posed[:] = posed
+        to[:] = bend_skin(skin, m.local, poses.rotation[m.carrier], poses.translation[m.carrier])
     m.time[1] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
@@ -233,8 +228,7 @@ def make_skin_slides(geometry: Geometry, primitive: int, fabric: Fabric, margin:
     ends = np.concatenate([vertices, np.unique(sides, axis=0)]).astype(np.int32)
     return SkinSlides(
         make_moving_mesh(x, faces), x, skin.place, skin.joint, skin.weight,
-        np.arange(first, first + len(skin.place), dtype=np.int32), np.full((len(skin.place), 7), np.nan), ends,
-        margin[ends].max(axis=1), float(geometry.friction[body]), body,
-        np.where(fabric.pinned, 0.0, 1.0 / fabric.mass), np.zeros(3), np.zeros(len(ends), np.int64),
-        np.zeros((len(ends), 11)), np.zeros(1, np.int64),
+        np.arange(first, first + len(skin.place), dtype=np.int32), ends, margin[ends].max(axis=1),
+        float(geometry.friction[body]), body, np.where(fabric.pinned, 0.0, 1.0 / fabric.mass), np.zeros(3),
+        np.zeros(len(ends), np.int64), np.zeros((len(ends), 11)), np.zeros(1, np.int64),
     )  # fmt: skip
