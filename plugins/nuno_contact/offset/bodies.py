@@ -49,7 +49,7 @@ OF_SKIN = -1
 
 def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     """Return bodies' solids as they are at the start. Raises BadInput for one that is not of triangles."""
-    if geometry is None or poses is None:
+    if geometry is None or poses is None or not len(geometry.kind):
         empty = np.zeros((0, 3))
         number, faces = np.zeros(0, np.int32), np.zeros((0, 3), np.int32)
         return Solids((), empty, empty, number, number, faces, np.zeros((0, 2)), 0, NO_SKIN, number)

@@ -246,8 +246,8 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
     m.so_far[STEPS] += 1
     dt = (s - m.clock[NOW]) * m.span[0]
     # Bodies push on with the present lists, and if new ones show more contacts, with those.
-    passes = False
-    for _ in range(3 if m.bodies.local.shape[0] > 0 else 0):
+    passes, pushed = False, m.surface.law[3] > 0.0
+    for _ in range(3 if pushed else 0):
         passes = m.counts[LACKING] == 0 and pass_by(m, x, v, dt, threads) == 0
         if m.counts[LACKING] == 0 and not passes:
             push_cloth_ahead(m, x, v, dt, threads)
@@ -257,7 +257,7 @@ def limit_whole_step(m: ContactState, x: Float, v: Float, s: float, threads: int
         if m.counts[CHOICES] == lists:
             break
         passes = False
-    if m.bodies.local.shape[0] == 0 and not list_for(m, x, s, threads):
+    if not pushed and not list_for(m, x, s, threads):
         return False
     if not passes and (m.counts[LACKING] > 0 or pass_by(m, x, v, dt, threads) > 0):
         before = v.copy()

@@ -68,7 +68,8 @@ class ContactSurface(NamedTuple):
     mass: Float
     """(n,) [kg], 0 for those that are held or carried, and for bodies"""
     law: Float
-    """(3,) thickness [m], Coulomb coefficient, damping as a ratio of critical"""
+    """(4,) thickness [m], Coulomb coefficient, damping as a ratio of critical; 1 where bodies push cloth by more than
+    forces, in this contact or by one that acts before it, else 0"""
 
 
 @by_reference
@@ -415,7 +416,7 @@ def make_contact_state(
         whole=np.zeros((3, wide)),
         whole_velocity=np.zeros((3, wide)),
         goal=np.zeros((3, wide)),
-        way=np.zeros((3, wide)),
+        way=np.zeros((3, n if law[3] > 0.0 else 0)),
         clock=np.zeros(7),
         span=np.zeros(1),
         counts=np.zeros(9, np.int64),

@@ -411,7 +411,7 @@ class Offset:
             piece[vertices] = number
         check_thickness(fabric, h)
         stiffness = auto_stiffness(fabric, gravity, REST_SHARE * h, h, SHARE / AT_ONCE)
-        law = np.array([h, config.friction, config.damping])
+        law = np.array([h, config.friction, config.damping, float(bodies is not None)])
         free = ~fabric.pinned
         most = AT_ONCE * (stiffness / fabric.mass)[free].max(initial=0.0)
         pieces, cloth = [*objects, *solids.names], len(objects)
@@ -420,7 +420,7 @@ class Offset:
         piece = np.concatenate([piece, cloth + solids.body])
         term = make_contact_state(fabric, piece, meets, stiffness, law, solids)
         check_start(term, fabric, pieces, cloth)
-        if bodies is not None and poses is not None:
+        if len(solids.x) and bodies is not None and poses is not None:
             check_outside(fabric, bodies, solids)
             set_solid_poses(term, poses, poses)
         check_gaps(term, pieces)

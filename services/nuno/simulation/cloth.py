@@ -358,7 +358,8 @@ def build_system(
             problem = "only cloth of triangles meets cloth, and bodies as it meets cloth: here is none"
             raise loaded.at("cloth_contact", BadInput(problem, remedy="leave cloth_contact out"))
         objects = {piece.name: np.arange(piece.start, piece.stop, dtype=np.int32) for piece in pieces}
-        bodies = [] if geometry is None or not met_bodies else [geometry.of_bodies(met_bodies), poses]
+        met = geometry is not None and (met_bodies or SKIN in geometry.kind)
+        bodies = [geometry.of_bodies(met_bodies), poses] if geometry is not None and met else []
         term = _prepare_term(loaded, meeting.field, meeting, fabric, objects, loaded.scene.meet(), gravity, *bodies)
         terms.append(replace(term, bodies=tuple(loaded.scene.bodies[i].name for i in met_bodies)))
     return System(fabric, gravity, _most_damping(loaded.scene), tuple(terms), threads, carried)
