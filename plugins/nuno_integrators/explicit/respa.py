@@ -5,8 +5,9 @@ Verlet-I or the reversible reference system propagator (Grubmueller et al. 1991,
 Berne & Martyna 1992, J. Chem. Phys. 97, 1990-2001). Cloth hardly stretches: what limits an explicit step is tension
 alone, whose force is cheap to find. Bending, wind and contact are softer by an order of magnitude or more and cost
 several times as much. A kick of theirs is as strong as the steps that it stands for, and cloth is held off itself
-and off bodies once for each kick, along the straight way since the last one. What slides on bodies is held off them
-after every step.
+and off bodies once for each kick, along the straight way since the last one. What slides on rigid bodies is held off
+them after every step, whose friction is not that of a mean velocity; off skins, held off them after every step, more
+frames of a walk were crossed than once for each kick.
 
 A shorter step takes no more steps to a kick than the step that `dt: auto` takes: both are refined together, or the
 error of the kicks would remain whatever the step.
@@ -130,8 +131,6 @@ def feeds_stretched(fast: float, slow: float, span: float) -> bool:
 
 TENSION, BENDING = ("springs", "membrane", "yarns"), ("hinges", "bending")
 """kinds of force that act in every step, and those that do so if they are faster than contact"""
-SLIDES = "slides"
-"""name of the terms that hold vertices off bodies on which they slide: after every step"""
 ROUNDS = 8
 """number of fixed-point iterations for a velocity; each halves the error, of what dashpots slow it down in a kick"""
 
@@ -383,8 +382,8 @@ class Respa(Compiled):
 
 
 def sliding(packed: Packed) -> Bool:
-    """Return which of the bodies' terms hold off bodies what slides on them."""
-    return np.array([kernels_of(term).name == SLIDES for term in packed.bodies], np.bool_)
+    """Return which of the bodies' terms hold off rigid bodies what slides on them."""
+    return np.array(["slow" in kernels_of(term) for term in packed.bodies], np.bool_)
 
 
 def at_start(system: System) -> State:
