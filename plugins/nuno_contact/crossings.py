@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_contact.offset.tree import less, more
-from nuno_geometry.poses import Vector
+from nuno_geometry.poses import Vector, row_at
 from nuno_kernels import block_kernel, forced_inline
 from nuno_kernels.boxes import NUMBERS, SIXTEEN, having, meeting, stand_up, unite, write_chosen
 from nuno_kernels.lanes import cross, dot, first_lane, minus, plus, times
@@ -170,12 +170,6 @@ NEAR, APART, FAR = 0, 1, 2
 
 
 @forced_inline
-def vertex(x: Float, i: int) -> Vector:
-    """Return row i of x (n, 3)."""
-    return x[i, 0], x[i, 1], x[i, 2]
-
-
-@forced_inline
 def largest(a: Vector) -> float:
     """Return the largest coordinate, without its sign."""
     return more(more(abs(a[0]), abs(a[1])), abs(a[2]))
@@ -229,7 +223,7 @@ def from_edge(p: Vector, v: Vector) -> float:
     square, along = dot(v, v), dot(p, v)
     share = along / square if along > 0.0 else 0.0
     share = share if share < 1.0 else 1.0
-    off = p[0] - share * v[0], p[1] - share * v[1], p[2] - share * v[2]
+    off = minus(p, times(share, v))
     return math.sqrt(dot(off, off))
 
 
@@ -258,9 +252,9 @@ def examine(x: Float, edges: Int, faces: Int, edge: Int, face: Int, within: floa
     nearest = within
     for r in range(edge.shape[0]):
         e, f = edge[r], face[r]
-        a = vertex(x, faces[f, 0])
-        p, q = minus(vertex(x, edges[e, 0]), a), minus(vertex(x, edges[e, 1]), a)
-        b, c, o = minus(vertex(x, faces[f, 1]), a), minus(vertex(x, faces[f, 2]), a), (0.0, 0.0, 0.0)
+        a = row_at(x, faces[f, 0])
+        p, q = minus(row_at(x, edges[e, 0]), a), minus(row_at(x, edges[e, 1]), a)
+        b, c, o = minus(row_at(x, faces[f, 1]), a), minus(row_at(x, faces[f, 2]), a), (0.0, 0.0, 0.0)
         parted = part(p, q, b, c, SURE * nearest)
         doubtful[r] = parted == NEAR
         if parted != FAR and within > 0.0:

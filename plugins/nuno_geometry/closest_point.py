@@ -26,20 +26,25 @@ import numba
 import numpy as np
 from numba import prange
 
-from nuno_geometry.poses import Vector
+from nuno_geometry.poses import Vector, row_at
 from nuno_geometry.tree import Room, Tree, make_room, push_children
 from nuno_kernels import block_kernel, forced_inline, parallel_kernel, threads_available
 from nuno_kernels.lanes import (
     EVERY,
     WIDTH,
     Lanes,
+    cross,
+    dot,
     first_lane,
     higher,
     lane,
     lanes_up_to,
-    load,
+    load_triple,
     lower,
+    minus,
+    plus,
     splat,
+    times,
     where_not_negative,
 )
 from nuno_schemas.errors import BadInput
@@ -52,33 +57,25 @@ FARTHEST = 1e154
 
 
 @forced_inline
-def leaf_distances(px: float, py: float, pz: float, corners: Float, leaf: int) -> Lanes:
+def leaf_distances(p: Vector, corners: Float, leaf: int) -> Lanes:
     """Return squared distances [m^2] of a point to a leaf's eight triangles, as a vector."""
     row = 9 * leaf
     zero, one = splat(0.0), splat(1.0)
-    ax, ay, az = px - load(corners, row, 0), py - load(corners, row + 1, 0), pz - load(corners, row + 2, 0)
-    bx, by, bz = load(corners, row + 3, 0), load(corners, row + 4, 0), load(corners, row + 5, 0)
-    cx, cy, cz = load(corners, row + 6, 0), load(corners, row + 7, 0), load(corners, row + 8, 0)
-    d, e = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
-    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    det = nx * nx + ny * ny + nz * nz
-    u = nx * (ay * cz - az * cy) + ny * (az * cx - ax * cz) + nz * (ax * cy - ay * cx)
-    v = nx * (by * az - bz * ay) + ny * (bz * ax - bx * az) + nz * (bx * ay - by * ax)
+    a = minus(p, load_triple(corners, row, 0))
+    b, c = load_triple(corners, row + 3, 0), load_triple(corners, row + 6, 0)
+    d, e, bb, bc, cc = dot(b, a), dot(c, a), dot(b, b), dot(b, c), dot(c, c)
+    n = cross(b, c)
+    det, u, v = dot(n, n), dot(n, cross(a, c)), dot(n, cross(b, a))
     # Edge a-b, edge a-c, edge b-c; a quotient of an edge without length is NaN, which `higher` makes 0.
-    s = lower(higher(d / bb, zero), one)
-    x, y, z = ax - s * bx, ay - s * by, az - s * bz
-    least = x * x + y * y + z * z
-    t = lower(higher(e / cc, zero), one)
-    x, y, z = ax - t * cx, ay - t * cy, az - t * cz
-    least = lower(x * x + y * y + z * z, least)
+    off = minus(a, times(lower(higher(d / bb, zero), one), b))
+    least = dot(off, off)
+    off = minus(a, times(lower(higher(e / cc, zero), one), c))
+    least = lower(dot(off, off), least)
     t = lower(higher((e - bc - (d - bb)) / (bb - 2.0 * bc + cc), zero), one)
-    s = one - t
-    x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
-    least = lower(x * x + y * y + z * z, least)
-    s, t = u / det, v / det
-    x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
-    return where_not_negative(lower(lower(u, v), det - u - v), lower(x * x + y * y + z * z, least), least)
+    off = minus(minus(a, times(one - t, b)), times(t, c))
+    least = lower(dot(off, off), least)
+    off = minus(minus(a, times(u / det, b)), times(v / det, c))
+    return where_not_negative(lower(lower(u, v), det - u - v), lower(dot(off, off), least), least)
 
 
 @forced_inline
@@ -95,14 +92,17 @@ def take_nearest(values: Lanes, leaf: int, face: Int, best: float, which: int) -
 
 
 @forced_inline
-def box_distances(px: float, py: float, pz: float, boxes: Float, node: int) -> Lanes:
+def box_distances(p: Vector, boxes: Float, node: int) -> Lanes:
     """Return squared distances [m^2] of a point to the boxes of a node's eight children, as a vector."""
     zero, row = splat(0.0), 6 * node
-    x = higher(higher(load(boxes, row, 0) - px, px - load(boxes, row + 3, 0)), zero)
-    y = higher(higher(load(boxes, row + 1, 0) - py, py - load(boxes, row + 4, 0)), zero)
-    z = higher(higher(load(boxes, row + 2, 0) - pz, pz - load(boxes, row + 5, 0)), zero)
+    below, beyond = minus(load_triple(boxes, row, 0), p), minus(p, load_triple(boxes, row + 3, 0))
+    off = (
+        higher(higher(below[0], beyond[0]), zero),
+        higher(higher(below[1], beyond[1]), zero),
+        higher(higher(below[2], beyond[2]), zero),
+    )
     # A share of 64 ulp off: see nuno_geometry.tree.ROUNDING, which does not cover points that are far away.
-    return (x * x + y * y + z * z) * (1.0 - 2.0**-46)
+    return dot(off, off) * (1.0 - 2.0**-46)
 
 
 @forced_inline
@@ -115,19 +115,18 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room, most: f
     several at once; on a way down each is known only after the one before. From a bad start, of whose neighbours all
     are near enough, it goes down from the root: there the nearest are distinguished first.
     """
-    px, py, pz = p
     boxes, child, corners, face, waiting, bound = (
         tree.boxes, tree.child, tree.corners, tree.face, room.waiting, room.bound
     )  # fmt: skip
     start_leaf = start // WIDTH
-    values = leaf_distances(px, py, pz, corners, start_leaf)
+    values = leaf_distances(p, corners, start_leaf)
     best, which = take_nearest(values, start_leaf, face, min(most, lane(values, start % WIDTH)), start)
     node, top = tree.leaf_parent[start_leaf], 0
     visited = 1 << (start_leaf + child[node] + 1)
-    if lanes_up_to(box_distances(px, py, pz, boxes, node), best) == EVERY:
+    if lanes_up_to(box_distances(p, boxes, node), best) == EVERY:
         node, visited = root, 0
     while node >= 0:
-        away = box_distances(px, py, pz, boxes, node)
+        away = box_distances(p, boxes, node)
         top = push_children(away, lanes_up_to(away, best) & ~visited, child[node], waiting, bound, top)
         below, node = node, tree.parent[node]
         if node >= 0:
@@ -139,9 +138,9 @@ def find_place(p: Vector, start: int, root: int, tree: Tree, room: Room, most: f
         node = waiting[top]
         if node < 0:
             leaf = -1 - node
-            best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
+            best, which = take_nearest(leaf_distances(p, corners, leaf), leaf, face, best, which)
         else:
-            away = box_distances(px, py, pz, boxes, node)
+            away = box_distances(p, boxes, node)
             top = push_children(away, lanes_up_to(away, best), child[node], waiting, bound, top)
     return which
 
@@ -153,31 +152,29 @@ def clamp(value: float) -> float:
 
 
 @forced_inline
-def read_triangle(px: float, py: float, pz: float, place: int, corners: Float) -> tuple[float, float, int]:
-    """Return what `nearest_in` does of the triangle in a place."""
+def corners_of(place: int, corners: Float) -> tuple[Vector, Vector, Vector]:
+    """Return a, b - a and c - a of the triangle in a place."""
     row, j = 9 * (place // WIDTH), place % WIDTH
-    a = px - corners[row, j], py - corners[row + 1, j], pz - corners[row + 2, j]
-    b = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
-    return nearest_in(a, b, (corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]))
+    a, b = (
+        (corners[row, j], corners[row + 1, j], corners[row + 2, j]),
+        (corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]),
+    )
+    return a, b, (corners[row + 6, j], corners[row + 7, j], corners[row + 8, j])
 
 
 @forced_inline
-def nearest_in(from_a: Vector, b: Vector, c: Vector) -> tuple[float, float, int]:
+def nearest_in(a: Vector, b: Vector, c: Vector) -> tuple[float, float, int]:
     """Return coordinates (s, t) of the closest point a + s (b - a) + t (c - a) of a triangle, and its feature: 0
     inside, 1 to 3 on the edge a-b, b-c or c-a, 4 to 6 at the corner a, b or c; p - a, b - a and c - a are given.
     """
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = from_a, b, c
-    d, e = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
-    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    det = nx * nx + ny * ny + nz * nz
-    u = nx * (ay * cz - az * cy) + ny * (az * cx - ax * cz) + nz * (ax * cy - ay * cx)
-    v = nx * (by * az - bz * ay) + ny * (bz * ax - bx * az) + nz * (bx * ay - by * ax)
+    d, e, bb, bc, cc = dot(b, a), dot(c, a), dot(b, b), dot(b, c), dot(c, c)
+    n = cross(b, c)
+    det, u, v = dot(n, n), dot(n, cross(a, c)), dot(n, cross(b, a))
     best, s, t, part = math.inf, 0.0, 0.0, 4
     if min(u, v, det - u - v) >= 0.0 and det > 0.0:
         s, t, part = u / det, v / det, 0
-        x, y, z = ax - s * bx - t * cx, ay - s * by - t * cy, az - s * bz - t * cz
-        best = x * x + y * y + z * z
+        off = minus(minus(a, times(s, b)), times(t, c))
+        best = dot(off, off)
     for edge in range(1, 4):
         if edge == 1:
             along = clamp(d / bb)
@@ -186,11 +183,10 @@ def nearest_in(from_a: Vector, b: Vector, c: Vector) -> tuple[float, float, int]
             along = clamp((e - bc - (d - bb)) / (bb - 2.0 * bc + cc))
             es, et = 1.0 - along, along
         else:
-            along = clamp(1.0 - e / cc)
             es, et = 0.0, clamp(e / cc)
             along = 1.0 - et
-        x, y, z = ax - es * bx - et * cx, ay - es * by - et * cy, az - es * bz - et * cz
-        value = x * x + y * y + z * z
+        off = minus(minus(a, times(es, b)), times(et, c))
+        value = dot(off, off)
         if value < best:
             best, s, t, part = value, es, et, edge
             if along == 0.0:
@@ -216,29 +212,23 @@ class Answer(NamedTuple):
 @forced_inline
 def closest(p: Vector, start: int, root: int, tree: Tree, room: Room) -> Answer:
     """Return the closest point of the tree from node `root` on, the search starting in place `start`."""
-    px, py, pz = p
-    corners, face = tree.corners, tree.face
-    place = find_place(p, start, root, tree, room)
-    s, t, part = read_triangle(px, py, pz, place, corners)
-    row, j = 9 * (place // WIDTH), place % WIDTH
-    bx, by, bz = corners[row + 3, j], corners[row + 4, j], corners[row + 5, j]
-    cx, cy, cz = corners[row + 6, j], corners[row + 7, j], corners[row + 8, j]
-    qx = corners[row, j] + s * bx + t * cx
-    qy = corners[row + 1, j] + s * by + t * cy
-    qz = corners[row + 2, j] + s * bz + t * cz
+    face, place = tree.face, find_place(p, start, root, tree, room)
+    a, b, c = corners_of(place, tree.corners)
+    s, t, part = nearest_in(minus(p, a), b, c)
+    q = plus(plus(a, times(s, b)), times(t, c))
     if part == 0:
-        nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        n = cross(b, c)
     elif part < 4:
         number, normals = tree.edges[face[place], part - 1], tree.edge_normals
-        nx, ny, nz = normals[number, 0], normals[number, 1], normals[number, 2]
+        n = row_at(normals, number)
     else:
         number, normals = tree.faces[face[place], part - 4], tree.vertex_normals
-        nx, ny, nz = normals[number, 0], normals[number, 1], normals[number, 2]
-    dx, dy, dz = px - qx, py - qy, pz - qz
-    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if dx * nx + dy * ny + dz * nz < 0.0:
+        n = row_at(normals, number)
+    d = minus(p, q)
+    distance = math.sqrt(dot(d, d))
+    if dot(d, n) < 0.0:
         distance = -distance
-    return Answer(place, s, t, (qx, qy, qz), distance, (nx, ny, nz))
+    return Answer(place, s, t, q, distance, n)
 
 
 class Closest(NamedTuple):
@@ -262,7 +252,7 @@ def find_block(block: int, points: Float, start: Int, tree: Tree, room: Room, fo
     (point, face, weights, distance), last = found, 0
     for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
         first = tree.place[start[i]] if start[i] >= 0 else last
-        near = closest((points[i, 0], points[i, 1], points[i, 2]), first, 0, tree, room)
+        near = closest(row_at(points, i), first, 0, tree, room)
         last = near.place
         point[i, 0], point[i, 1], point[i, 2] = near.point
         weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - near.s - near.t, near.s, near.t

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_geometry.closest_point import nearest_in
-from nuno_geometry.poses import Vector
-from nuno_geometry.skinning import cross
+from nuno_geometry.poses import Vector, row_at
 from nuno_geometry.tree import ROUNDING, Tree, build_tree
 from nuno_kernels import block_kernel, forced_inline, kernel
 from nuno_kernels.compilation.reference import by_reference
-from nuno_kernels.lanes import WIDTH
+from nuno_kernels.lanes import WIDTH, cross, dot, minus, plus, times
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float, Int
 
@@ -98,25 +97,24 @@ class Foot(NamedTuple):
 @forced_inline
 def corner_at(i: int, s: float, x: Float, y: Float) -> Vector:
     """Return the place of vertex i at fraction s of the interval from x to y."""
-    r = 1.0 - s
-    return r * x[i, 0] + s * y[i, 0], r * x[i, 1] + s * y[i, 1], r * x[i, 2] + s * y[i, 2]
+    return plus(times(1.0 - s, row_at(x, i)), times(s, row_at(y, i)))
 
 
 @forced_inline
 def sides_at(i: int, j: int, k: int, s: float, x: Float, y: Float) -> tuple[Vector, Vector, Vector]:
     """Return the place of vertex i, and the ways from there to j and k."""
     a, b, c = corner_at(i, s, x, y), corner_at(j, s, x, y), corner_at(k, s, x, y)
-    return a, (b[0] - a[0], b[1] - a[1], b[2] - a[2]), (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    return a, minus(b, a), minus(c, a)
 
 
 @forced_inline
 def foot_on(p: Vector, face: int, s: float, faces: Int, x: Float, y: Float) -> Foot:
     """Return the closest point of a triangle at fraction s of the interval."""
     o, b, c = sides_at(faces[face, 0], faces[face, 1], faces[face, 2], s, x, y)
-    a = p[0] - o[0], p[1] - o[1], p[2] - o[2]
+    a = minus(p, o)
     u, w, part = nearest_in(a, b, c)
-    way = a[0] - u * b[0] - w * c[0], a[1] - u * b[1] - w * c[1], a[2] - u * b[2] - w * c[2]
-    return Foot(face, u, w, part, way, way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    way = minus(minus(a, times(u, b)), times(w, c))
+    return Foot(face, u, w, part, way, dot(way, way))
 
 
 @kernel
@@ -144,11 +142,11 @@ def walk(p: Vector, face: int, s: float, m: MovingMesh) -> Foot:
 def add_normal(n: Vector, b: Vector, c: Vector, by_angle: bool) -> Vector:
     """Return n and the unit normal of a triangle with sides b and c from a corner, or that times its angle there."""
     m = cross(b, c)
-    size = math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    size = math.sqrt(dot(m, m))
     share = 1.0 / size if size > 0.0 else 0.0
     if by_angle:
-        share *= math.atan2(size, b[0] * c[0] + b[1] * c[1] + b[2] * c[2])
-    return n[0] + share * m[0], n[1] + share * m[1], n[2] + share * m[2]
+        share *= math.atan2(size, dot(b, c))
+    return plus(n, times(share, m))
 
 
 @kernel

@@ -21,6 +21,12 @@ Index = int | np.uint64
 Vector = tuple[float, float, float]
 
 
+@forced_inline
+def row_at(x: Float, i: Index) -> Vector:
+    """Return row i of x (n, 3)."""
+    return x[i, 0], x[i, 1], x[i, 2]
+
+
 class Frames(Protocol):
     """Arrays of f frames and their motion over an interval.
 

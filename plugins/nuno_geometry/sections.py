@@ -9,10 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from nuno_geometry.normals import edge_numbers
+from nuno_geometry.poses import Vector, row_at
 from nuno_kernels import kernel
+from nuno_kernels.lanes import cross, dot, minus, plus, times
 from nuno_kernels.step.blocks import Long
+from nuno_schemas import vectors
 from nuno_schemas.fabric import Float, Int
-from nuno_schemas.vectors import dot, norm
 
 # Sections of a closed mesh: the loops in which a plane, or a level of values on the vertices, cuts it.
 
@@ -41,10 +43,10 @@ class Loop:
         here, after = self.points - middle, np.roll(self.points, -1, axis=0) - middle
         areas = np.cross(here, after)
         normal = areas.sum(axis=0)
-        size = float(dot(normal, normal))
+        size = float(vectors.dot(normal, normal))
         if size == 0.0:
             return np.asarray(middle)
-        weight = dot(areas, normal) / size
+        weight = vectors.dot(areas, normal) / size
         return np.asarray(middle + (weight[:, None] * (here + after)).sum(axis=0) / 3.0)
 
 
@@ -95,18 +97,18 @@ def section_about(x: Float, faces: Int, point: Float, normal: Float) -> Loop | N
     """Return the loop that the plane through `point` (3,) across `normal` (3,) cuts round it; if none goes round it,
     that with the nearest middle, and None if the plane cuts nothing.
     """
-    loops = cut_mesh(x, faces, dot(x - point, normal))
+    loops = cut_mesh(x, faces, vectors.dot(x - point, normal))
     if not loops:
         return None
     round_it = [loop for loop in loops if _goes_round(loop.points - point, normal)]
-    return min(round_it or loops, key=lambda loop: float(norm(loop.centroid() - point)))
+    return min(round_it or loops, key=lambda loop: float(vectors.norm(loop.centroid() - point)))
 
 
 def _goes_round(points: Float, normal: Float) -> bool:
     """Whether a polygon in the plane across `normal` winds round the origin."""
     after = np.roll(points, -1, axis=0)
-    unit = normal / norm(normal)
-    angle = np.arctan2(dot(np.cross(points, after), unit), (points * after).sum(axis=1))
+    unit = normal / vectors.norm(normal)
+    angle = np.arctan2(vectors.dot(np.cross(points, after), unit), (points * after).sum(axis=1))
     return bool(abs(angle.sum()) > np.pi)
 
 
@@ -160,51 +162,36 @@ def join_faces(vertices: Float, faces: Int) -> Joined:
 
 
 class Chord(NamedTuple):
-    """A plane: its origin, its direction along (u), above (w) and across, and its length [m]."""
+    """A plane: its origin, its direction along, above and across, and its length [m]."""
 
-    ax: float
-    ay: float
-    az: float
-    ux: float
-    uy: float
-    uz: float
-    wx: float
-    wy: float
-    wz: float
-    vx: float
-    vy: float
-    vz: float
+    origin: Vector
+    along: Vector
+    above: Vector
+    across: Vector
     length: float
 
 
 @kernel
 def make_chord(points: Float, normals: Float, i: int, j: int) -> Chord:
     """Return the plane through points i and j along the mean of their normals; of length 0 if there is none."""
-    ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
-    ux, uy, uz = points[j, 0] - ax, points[j, 1] - ay, points[j, 2] - az
-    length = math.sqrt(ux * ux + uy * uy + uz * uz)
-    wx, wy, wz = normals[i, 0] + normals[j, 0], normals[i, 1] + normals[j, 1], normals[i, 2] + normals[j, 2]
+    origin = row_at(points, i)
+    u, w = minus(row_at(points, j), origin), plus(row_at(normals, i), row_at(normals, j))
+    length = math.sqrt(dot(u, u))
     if length > 0.0:
-        ux, uy, uz = ux / length, uy / length, uz / length
-    along = wx * ux + wy * uy + wz * uz
-    wx, wy, wz = wx - along * ux, wy - along * uy, wz - along * uz
-    size = math.sqrt(wx * wx + wy * wy + wz * wz)
+        u = u[0] / length, u[1] / length, u[2] / length
+    w = minus(w, times(dot(w, u), u))
+    size = math.sqrt(dot(w, w))
     if size > 2.0 * UPRIGHT:
-        wx, wy, wz = wx / size, wy / size, wz / size
+        w = w[0] / size, w[1] / size, w[2] / size
     else:
         length = 0.0
-    vx, vy, vz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
-    return Chord(ax, ay, az, ux, uy, uz, wx, wy, wz, vx, vy, vz, length)
+    return Chord(origin, u, w, cross(w, u), length)
 
 
 @kernel
 def side_of(chord: Chord, v: int, vertices: Float) -> float:
     """Return how far to the left of the plane a vertex is [m], seen from above along the chord."""
-    return float(
-        (vertices[v, 0] - chord.ax) * chord.vx
-        + (vertices[v, 1] - chord.ay) * chord.vy
-        + (vertices[v, 2] - chord.az) * chord.vz
-    )
+    return float(dot(minus(row_at(vertices, v), chord.origin), chord.across))
 
 
 @kernel
@@ -237,10 +224,9 @@ def crossing(chord: Chord, face: int, edge: int, vertices: Float, faces: Int) ->
     """Return (u, w) [m] of the point at which the plane meets an edge of a triangle."""
     i, j = faces[face, edge], faces[face, (edge + 1) % 3]
     t = edge_share(chord, i, j, vertices)
-    x = vertices[i, 0] + t * (vertices[j, 0] - vertices[i, 0]) - chord.ax
-    y = vertices[i, 1] + t * (vertices[j, 1] - vertices[i, 1]) - chord.ay
-    z = vertices[i, 2] + t * (vertices[j, 2] - vertices[i, 2]) - chord.az
-    return x * chord.ux + y * chord.uy + z * chord.uz, x * chord.wx + y * chord.wy + z * chord.wz
+    start = row_at(vertices, i)
+    x = minus(plus(start, times(t, minus(row_at(vertices, j), start))), chord.origin)
+    return dot(x, chord.along), dot(x, chord.above)
 
 
 @kernel

@@ -6,16 +6,10 @@ import math
 
 import numpy as np
 
-from nuno_geometry.poses import Vector
-from nuno_kernels import forced_inline, kernel
+from nuno_kernels import kernel
+from nuno_kernels.lanes import cross, minus, plus, times
 from nuno_schemas.bodies import Skin
 from nuno_schemas.fabric import Float, Int
-
-
-@forced_inline
-def cross(a: Vector, b: Vector) -> Vector:
-    """Return a x b."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
@@ -38,12 +32,9 @@ def bend_vertices(x: Float, joint: Int, weight: Float, rotation: Float, dual: Fl
             e, f, g, h = e + share * dual[j, 0], f + share * dual[j, 1], g + share * dual[j, 2], h + share * dual[j, 3]
         size = math.sqrt(((w * w + a * a) + b * b) + c * c)
         w, e, v, d, p = w / size, e / size, (a / size, b / size, c / size), (f / size, g / size, h / size), x[i]
-        to = p[0], p[1], p[2]
-        half, along = cross(v, to), cross(v, d)
-        turned = cross(v, (half[0] + w * to[0], half[1] + w * to[1], half[2] + w * to[2]))
-        out[i, 0] = (to[0] + 2.0 * turned[0]) + 2.0 * ((w * d[0] - e * v[0]) + along[0])
-        out[i, 1] = (to[1] + 2.0 * turned[1]) + 2.0 * ((w * d[1] - e * v[1]) + along[1])
-        out[i, 2] = (to[2] + 2.0 * turned[2]) + 2.0 * ((w * d[2] - e * v[2]) + along[2])
+        to, along = (p[0], p[1], p[2]), plus(minus(times(w, d), times(e, v)), cross(v, d))
+        turned = cross(v, plus(cross(v, to), times(w, to)))
+        out[i, 0], out[i, 1], out[i, 2] = plus(plus(to, times(2.0, turned)), times(2.0, along))
 
 
 def bend_skin(skin: Skin, x: Float, rotation: Float, translation: Float) -> Float:

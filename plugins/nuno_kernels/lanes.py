@@ -405,3 +405,9 @@ def read_triple(a: Float, row: int, p: int, m: int) -> Triple:
 def gather_triple(a: Float, indices: Int, which: int, p: int) -> Triple:
     """Return the first three rows of `a` at the columns of eight indices in row `which`, from place p on."""
     return gather(a, 0, indices, which, p), gather(a, 1, indices, which, p), gather(a, 2, indices, which, p)
+
+
+@kernel
+def edge(a: Float, i: int, j: int) -> tuple[float, float, float]:
+    """Return column j minus column i of `a` (3, n), single numbers."""
+    return a[0, j] - a[0, i], a[1, j] - a[1, i], a[2, j] - a[2, i]

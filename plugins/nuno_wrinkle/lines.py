@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from nuno_geometry.closest_point import leaf_distances, read_triangle, take_nearest
+from nuno_geometry.closest_point import corners_of, leaf_distances, nearest_in, take_nearest
 from nuno_geometry.mesh_files.polygons import read_obj
 from nuno_geometry.normals import face_normals
+from nuno_geometry.poses import row_at
 from nuno_geometry.tree import in_eights
 from nuno_kernels import kernel
-from nuno_kernels.lanes import WIDTH
+from nuno_kernels.lanes import WIDTH, minus
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_schemas.parts import Metres, Part
@@ -115,11 +116,11 @@ class Smoothing(Part):
 def scan(points: Float, corners: Float, face: Int, triangle: Int, weights: Float, distance: Float) -> None:
     """Find the nearest triangle of each point by testing all, as for `scan_triangles`."""
     for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        best, which = math.inf, 0
+        p, best, which = row_at(points, i), math.inf, 0
         for leaf in range(corners.shape[0] // 9):
-            best, which = take_nearest(leaf_distances(px, py, pz, corners, leaf), leaf, face, best, which)
-        s, t, _ = read_triangle(px, py, pz, which, corners)
+            best, which = take_nearest(leaf_distances(p, corners, leaf), leaf, face, best, which)
+        a, b, c = corners_of(which, corners)
+        s, t, _ = nearest_in(minus(p, a), b, c)
         weights[i, 0], weights[i, 1], weights[i, 2] = 1.0 - s - t, s, t
         triangle[i], distance[i] = face[which], math.sqrt(best)
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno_geometry.normals import face_normals
+from nuno_geometry.poses import Vector, row_at
 from nuno_kernels import kernel
+from nuno_kernels.lanes import cross, dot, minus, plus
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_wrinkle.edges import any_of
@@ -62,50 +64,29 @@ def _has_edge(faces: Int, across: Int, face: int, p: int, q: int) -> bool:
 
 
 @kernel
-def _area_vector(x: Float, a: int, b: int, c: int, out: Float) -> None:
-    """Write twice the area of the triangle a, b, c times its normal into out (3,)."""
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        out[k] = (x[b, i] - x[a, i]) * (x[c, j] - x[a, j]) - (x[b, j] - x[a, j]) * (x[c, i] - x[a, i])
+def _area_vector(x: Float, a: int, b: int, c: int) -> Vector:
+    """Return twice the area of the triangle a, b, c times its normal."""
+    corner = row_at(x, a)
+    return cross(minus(row_at(x, b), corner), minus(row_at(x, c), corner))
 
 
 @kernel
 def _may_flip(x: Float, u: int, v: int, p: int, q: int) -> bool:
     """Return whether the triangles u, v, p and v, u, q form a convex quad, seen along the sum of their normals."""
-    s, g, one, other = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    _area_vector(x, u, v, p, s)
-    _area_vector(x, v, u, q, g)
-    _area_vector(x, p, u, q, one)
-    _area_vector(x, q, v, p, other)
-    fold, size_s, size_g = 0.0, 0.0, 0.0
-    for k in range(3):
-        fold += s[k] * g[k]
-        size_s += s[k] * s[k]
-        size_g += g[k] * g[k]
-    size_s, size_g = np.sqrt(size_s), np.sqrt(size_g)
-    if fold <= 0.0:
+    s, g = _area_vector(x, u, v, p), _area_vector(x, v, u, q)
+    size_s, size_g = np.sqrt(dot(s, s)), np.sqrt(dot(g, g))
+    if dot(s, g) <= 0.0:
         return False
-    area_one, area_other, area = 0.0, 0.0, 0.0
-    for k in range(3):
-        m = s[k] / size_s + g[k] / size_g
-        area_one += one[k] * m
-        area_other += other[k] * m
-        area += (s[k] + g[k]) * m
-    return bool(area_one > CONVEX * area and area_other > CONVEX * area)
+    normal = s[0] / size_s + g[0] / size_g, s[1] / size_s + g[1] / size_g, s[2] / size_s + g[2] / size_g
+    least = CONVEX * dot(plus(s, g), normal)
+    return bool(dot(_area_vector(x, p, u, q), normal) > least and dot(_area_vector(x, q, v, p), normal) > least)
 
 
 @kernel
 def _keeps_facing(x: Float, raised: Float, a: int, b: int, c: int) -> bool:
     """Return whether the triangle a, b, c faces the same way after raising."""
-    before, after = np.empty(3), np.empty(3)
-    _area_vector(x, a, b, c, before)
-    _area_vector(raised, a, b, c, after)
-    dot, one, other = 0.0, 0.0, 0.0
-    for k in range(3):
-        dot += before[k] * after[k]
-        one += before[k] * before[k]
-        other += after[k] * after[k]
-    return bool(dot > STEEP * np.sqrt(one * other))
+    before, after = _area_vector(x, a, b, c), _area_vector(raised, a, b, c)
+    return bool(dot(before, after) > STEEP * np.sqrt(dot(before, before) * dot(after, after)))
 
 
 @kernel

@@ -32,7 +32,8 @@ def posed(shape):
 
 def measure(contact, points):
     bodies = Bodies(contact.kind, contact.frame, contact.posed, contact.frames)
-    return np.array([primitive_distance(tuple(p), 0.0, 0.0, 0, 0, bodies, None) for p in points])
+    found = (primitive_distance(tuple(p), 0.0, 0.0, 0, 0, bodies, None) for p in points)
+    return np.array([(distance, *normal, mark) for distance, normal, mark in found])
 
 
 def cloud(number=300, seed=1):

@@ -15,11 +15,11 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from nuno_geometry.closest_point import closest
-from nuno_geometry.poses import Vector
+from nuno_geometry.closest_point import closest, corners_of
+from nuno_geometry.poses import Vector, row_at
 from nuno_geometry.tree import Room, Tree, make_room
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.lanes import WIDTH
+from nuno_kernels.lanes import WIDTH, cross, dot, minus, plus
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
@@ -30,28 +30,25 @@ BETA = 2.3
 
 
 @kernel
-def solid_angle(px: float, py: float, pz: float, corners: Float, place: int) -> float:
+def solid_angle(p: Vector, corners: Float, place: int) -> float:
     """Return the solid angle of a triangle (A. van Oosterom, J. Strackee 1983), positive where its inside is seen."""
-    row, j = 9 * (place // WIDTH), place % WIDTH
-    ax, ay, az = corners[row, j] - px, corners[row + 1, j] - py, corners[row + 2, j] - pz
-    bx, by, bz = ax + corners[row + 3, j], ay + corners[row + 4, j], az + corners[row + 5, j]
-    cx, cy, cz = ax + corners[row + 6, j], ay + corners[row + 7, j], az + corners[row + 8, j]
-    a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
-    c = math.sqrt(cx * cx + cy * cy + cz * cz)
-    triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    below = a * b * c + (ax * bx + ay * by + az * bz) * c
-    below += (bx * cx + by * cy + bz * cz) * a + (cx * ax + cy * ay + cz * az) * b
-    return 2.0 * math.atan2(triple, below)
+    first, second, third = corners_of(place, corners)
+    a = minus(first, p)
+    b, c = plus(a, second), plus(a, third)
+    size_a, size_b, size_c = math.sqrt(dot(a, a)), math.sqrt(dot(b, b)), math.sqrt(dot(c, c))
+    below = size_a * size_b * size_c + dot(a, b) * size_c
+    below += dot(b, c) * size_a + dot(c, a) * size_b
+    return 2.0 * math.atan2(dot(a, cross(b, c)), below)
 
 
 @kernel
-def far_angle(px: float, py: float, pz: float, dipole: Float, i: int) -> float:
+def far_angle(p: Vector, dipole: Float, i: int) -> float:
     """Return the solid angle of a group of triangles; NaN if the point is too near for it."""
-    x, y, z = dipole[i, 3] - px, dipole[i, 4] - py, dipole[i, 5] - pz
-    square = x * x + y * y + z * z
+    away = minus((dipole[i, 3], dipole[i, 4], dipole[i, 5]), p)
+    square = dot(away, away)
     if square <= BETA * BETA * dipole[i, 6]:
         return math.nan
-    return float((dipole[i, 0] * x + dipole[i, 1] * y + dipole[i, 2] * z) / (square * math.sqrt(square)))
+    return float(dot(row_at(dipole, i), away) / (square * math.sqrt(square)))
 
 
 class Dipoles(NamedTuple):
@@ -66,7 +63,6 @@ class Dipoles(NamedTuple):
 @kernel
 def winding(p: Vector, tree: Tree, dipoles: Dipoles, room: Room) -> float:
     """Return the winding number of a tree's mesh about a point."""
-    px, py, pz = p
     boxes, child, corners, waiting = tree.boxes, tree.child, tree.corners, room.waiting
     leaf_dipoles, node_dipoles = dipoles.leaves, dipoles.nodes
     total = 0.0
@@ -75,15 +71,13 @@ def winding(p: Vector, tree: Tree, dipoles: Dipoles, room: Room) -> float:
     while top > 0:
         top -= 1
         node = waiting[top]
-        angle = (
-            far_angle(px, py, pz, leaf_dipoles, -1 - node) if node < 0 else far_angle(px, py, pz, node_dipoles, node)
-        )
+        angle = far_angle(p, leaf_dipoles, -1 - node) if node < 0 else far_angle(p, node_dipoles, node)
         if angle == angle:
             total += angle
         elif node < 0:
             leaf = -1 - node
             for place in range(WIDTH * leaf, WIDTH * leaf + int(leaf_dipoles[leaf, 7])):
-                total += solid_angle(px, py, pz, corners, place)
+                total += solid_angle(p, corners, place)
         else:
             first = child[node]
             for lane in range(WIDTH):
@@ -171,17 +165,17 @@ def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room
     With dipoles the sign is the winding number's, else the pseudonormal's.
     """
     near = closest(p, start, 0, tree, room)
-    distance, (gx, gy, gz) = near.distance, (p[0] - near.point[0], p[1] - near.point[1], p[2] - near.point[2])
+    distance, way = near.distance, minus(p, near.point)
     if dipoles is not None:
         inside = winding(p, tree, dipoles, room) > 0.5
         distance = -abs(distance) if inside else abs(distance)
     size = distance
     if abs(distance) <= ON_SURFACE * (abs(p[0]) + abs(p[1]) + abs(p[2])):
-        gx, gy, gz = near.normal
-        size = math.sqrt(gx * gx + gy * gy + gz * gz)
+        way = near.normal
+        size = math.sqrt(dot(way, way))
     if size == 0.0:
         return distance, (0.0, 0.0, 0.0), near.place
-    return distance, (gx / size, gy / size, gz / size), near.place
+    return distance, (way[0] / size, way[1] / size, way[2] / size), near.place
 
 
 @parallel_kernel
@@ -190,8 +184,8 @@ def measure_points(points: Float, near: Long, tree: Tree, dipoles: Dipoles | Non
     for block in prange((points.shape[0] + BLOCK - 1) // BLOCK):
         room = make_room()
         for i in range(block * BLOCK, min((block + 1) * BLOCK, points.shape[0])):
-            p = (points[i, 0], points[i, 1], points[i, 2])
-            out[i, 0], (out[i, 1], out[i, 2], out[i, 3]), near[i] = exact(p, near[i], tree, dipoles, room)
+            found = exact(row_at(points, i), near[i], tree, dipoles, room)
+            out[i, 0], (out[i, 1], out[i, 2], out[i, 3]), near[i] = found
 
 
 @forced_inline

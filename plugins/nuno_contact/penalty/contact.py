@@ -63,6 +63,7 @@ from nuno_contact.penalty.distance import (  # fmt: skip
 )
 from nuno_geometry.poses import Index, Vector, pose_frame, write_interval
 from nuno_kernels import block_kernel, forced_inline, kernel
+from nuno_kernels.lanes import cross, dot, minus, plus, times
 from nuno_kernels.terms import over_blocks, register
 from nuno_schemas.bodies import ClosedForm, DistanceField, Geometry, Poses
 from nuno_schemas.fabric import Float, Int
@@ -215,43 +216,36 @@ def respond(x: Float, v: Float, i: Index, touch: BodyContact, bodies: Bodies, fi
     """
     p = np.uint64(touch.deepest[i])
     f, frames = np.uint64(bodies.frame[p]), bodies.frames
-    px, py, pz = x[0, i], x[1, i], x[2, i]
-    distance, nx, ny, nz, mark = primitive_distance(
-        (px, py, pz), touch.spread[0, i], touch.spread[1, i], p, f, bodies, fields
-    )
-    rx, ry, rz = px - frames[f, 9], py - frames[f, 10], pz - frames[f, 11]
-    ux = v[0, i] - frames[f, 12] - (frames[f, 16] * rz - frames[f, 17] * ry)
-    uy = v[1, i] - frames[f, 13] - (frames[f, 17] * rx - frames[f, 15] * rz)
-    uz = v[2, i] - frames[f, 14] - (frames[f, 15] * ry - frames[f, 16] * rx)
-    un = ux * nx + uy * ny + uz * nz
+    at = x[0, i], x[1, i], x[2, i]
+    distance, n, mark = primitive_distance(at, touch.spread[0, i], touch.spread[1, i], p, f, bodies, fields)
+    u = minus((v[0, i], v[1, i], v[2, i]), (frames[f, 12], frames[f, 13], frames[f, 14]))
+    arm = minus(at, (frames[f, 9], frames[f, 10], frames[f, 11]))
+    u = minus(u, cross((frames[f, 15], frames[f, 16], frames[f, 17]), arm))
+    un = dot(u, n)
     push = max(0.0, -touch.stiffness[i] * distance - touch.damping[i] * max(un, touch.rate * distance))
-    ex, ey, ez = 0.0, 0.0, 0.0
+    e = 0.0, 0.0, 0.0
     if touch.anchor_frame[i] >= 0:
         g = np.uint64(touch.anchor_frame[i])
         ax, ay, az = touch.anchor[0, i], touch.anchor[1, i], touch.anchor[2, i]
-        ex = px - (frames[g, 9] + frames[g, 0] * ax + frames[g, 1] * ay + frames[g, 2] * az)
-        ey = py - (frames[g, 10] + frames[g, 3] * ax + frames[g, 4] * ay + frames[g, 5] * az)
-        ez = pz - (frames[g, 11] + frames[g, 6] * ax + frames[g, 7] * ay + frames[g, 8] * az)
-        en = ex * nx + ey * ny + ez * nz
-        ex, ey, ez = ex - en * nx, ey - en * ny, ez - en * nz
-    slip = (ux - un * nx, uy - un * ny, uz - un * nz)
-    return Response(distance, push, (ex, ey, ez), (nx, ny, nz), slip, mark)
+        ex = at[0] - (frames[g, 9] + frames[g, 0] * ax + frames[g, 1] * ay + frames[g, 2] * az)
+        ey = at[1] - (frames[g, 10] + frames[g, 3] * ax + frames[g, 4] * ay + frames[g, 5] * az)
+        ez = at[2] - (frames[g, 11] + frames[g, 6] * ax + frames[g, 7] * ay + frames[g, 8] * az)
+        e = ex, ey, ez
+        e = minus(e, times(dot(e, n), n))
+    return Response(distance, push, e, n, minus(u, times(un, n)), mark)
 
 
 @forced_inline
 def rub(k: float, c: float, response: Response) -> Vector:
     """Return the force [N] of the friction spring k [N/m] and its dashpot c [N s/m], before Coulomb's limit."""
-    e, t = response.stretch, response.slip
-    return -k * e[0] - c * t[0], -k * e[1] - c * t[1], -k * e[2] - c * t[2]
+    return minus(times(-k, response.stretch), times(c, response.slip))
 
 
 @forced_inline
 def limit_friction(response: Response, friction: Vector, push: float, limit: float) -> Vector:
     """Return the force [N] of `push` along the normal and of friction, no longer than `limit`."""
-    n = response.normal
-    size = math.sqrt(friction[0] * friction[0] + friction[1] * friction[1] + friction[2] * friction[2])
-    share = limit / size if size > limit else 1.0
-    return push * n[0] + share * friction[0], push * n[1] + share * friction[1], push * n[2] + share * friction[2]
+    size = math.sqrt(dot(friction, friction))
+    return plus(times(push, response.normal), times(limit / size if size > limit else 1.0, friction))
 
 
 @forced_inline
@@ -262,7 +256,7 @@ def place_anchor(x: Float, i: Index, response: Response, limit: float, touch: Bo
     anchor, anchor_frame, frames = touch.anchor, touch.anchor_frame, bodies.frames
     f = np.uint64(bodies.frame[np.uint64(touch.deepest[i])])
     ex, ey, ez = response.stretch
-    stretch = touch.stiffness[i] * math.sqrt(ex * ex + ey * ey + ez * ez)
+    stretch = touch.stiffness[i] * math.sqrt(dot(response.stretch, response.stretch))
     if anchor_frame[i] == f and stretch <= limit:
         return
     share = limit / stretch if stretch > limit else 1.0

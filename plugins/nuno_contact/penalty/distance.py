@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from nuno_contact.distance_fields.sample import Fields as SampledFields
 from nuno_contact.distance_fields.sample import sample, sample_distance
 from nuno_contact.margins import round_margin
-from nuno_geometry.poses import Index, Vector, to_frame, turn_in, turn_out
+from nuno_geometry.poses import Index, Vector, row_at, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.formula import INLINE, distance_of
-from nuno_kernels.lanes import WIDTH, any_below, higher, lane, load, lower, read, splat
+from nuno_kernels.lanes import WIDTH, any_below, dot, higher, lane, load, lower, minus, read, splat, times
 from nuno_kernels.terms import define
 from nuno_schemas.fabric import Float, Int
 
@@ -47,8 +47,8 @@ from nuno_schemas.fabric import Float, Int
 # Loops that should vectorise count with unsigned integers: numba then emits no test for negative
 # indices, which would keep LLVM from vectorising (0.8 instead of 4 ns a distance).
 
-Reading = tuple[float, float, float, float, int]
-"""Distance [m], normal x, y, z, and 1 for a point on a capsule's axis, else 0."""
+Reading = tuple[float, Vector, int]
+"""Distance [m], normal, and 1 for a point on a capsule's axis, else 0."""
 
 
 class Deepest(NamedTuple):
@@ -75,46 +75,41 @@ cannot be negative, so that skipping changes no bit."""
 
 
 @kernel
-def across(dx: float, dy: float, dz: float) -> tuple[float, float, float]:
-    """Return a unit vector perpendicular to (dx, dy, dz): its cross product with the coordinate axis that it leans on
-    least; +y for a null vector, so that a point at a sphere's centre goes up.
+def across(d: Vector) -> Vector:
+    """Return a unit vector perpendicular to d: its cross product with the coordinate axis that it leans on least; +y
+    for a null vector, so that a point at a sphere's centre goes up.
     """
-    ax, ay, az = abs(dx), abs(dy), abs(dz)
+    ax, ay, az = abs(d[0]), abs(d[1]), abs(d[2])
     longest = max(ax, ay, az)
     if longest == 0.0:
         return 0.0, 1.0, 0.0
-    dx, dy, dz = dx / longest, dy / longest, dz / longest
+    dx, dy, dz = d[0] / longest, d[1] / longest, d[2] / longest
     if ay <= ax and ay <= az:
-        nx, ny, nz = -dz, 0.0, dx
+        n = -dz, 0.0, dx
     elif ax <= az:
-        nx, ny, nz = 0.0, dz, -dy
+        n = 0.0, dz, -dy
     else:
-        nx, ny, nz = dy, -dx, 0.0
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx / length, ny / length, nz / length
+        n = dy, -dx, 0.0
+    length = math.sqrt(dot(n, n))
+    return n[0] / length, n[1] / length, n[2] / length
 
 
 @forced_inline
 def capsule_distance(at: Vector, spread: float, margin: float, posed: Float, p: Index) -> Reading:
-    """Return (distance, normal x, y, z, 1 if the point lies on the axis else 0)."""
-    px, py, pz = at
+    """Return (distance, normal, 1 if the point lies on the axis else 0)."""
     reach = margin + math.sqrt(posed[p, 7] * posed[p, 7] + spread)
-    dx, dy, dz = posed[p, 3], posed[p, 4], posed[p, 5]
-    ex, ey, ez = px - posed[p, 0], py - posed[p, 1], pz - posed[p, 2]
-    s = min(max((ex * dx + ey * dy + ez * dz) * posed[p, 6], 0.0), 1.0)
-    ex, ey, ez = ex - s * dx, ey - s * dy, ez - s * dz
-    away = math.sqrt(ex * ex + ey * ey + ez * ez)
+    axis, e = (posed[p, 3], posed[p, 4], posed[p, 5]), minus(at, row_at(posed, p))
+    e = minus(e, times(min(max(dot(e, axis) * posed[p, 6], 0.0), 1.0), axis))
+    away = math.sqrt(dot(e, e))
     if away <= ON_AXIS * posed[p, 7]:
-        nx, ny, nz = across(dx, dy, dz)
-        return away - reach, nx, ny, nz, 1
-    unit = 1.0 / away
-    return away - reach, ex * unit, ey * unit, ez * unit, 0
+        return away - reach, across(axis), 1
+    return away - reach, times(1.0 / away, e), 0
 
 
 @forced_inline
 def box_distance(at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index) -> Reading:
-    """Return (distance, normal x, y, z, 0); the first of several equally near faces gives the normal."""
-    lx, ly, lz = turn_in((at[0] - posed[p, 0], at[1] - posed[p, 1], at[2] - posed[p, 2]), frames, f)
+    """Return (distance, normal, 0); the first of several equally near faces gives the normal."""
+    lx, ly, lz = turn_in(minus(at, row_at(posed, p)), frames, f)
     margin += round_margin(spread, posed[p, 14], posed[p, 6])
     qx, qy, qz = abs(lx) - posed[p, 3] - margin, abs(ly) - posed[p, 4] - margin, abs(lz) - posed[p, 5] - margin
     distance = max(qx, qy, qz)
@@ -129,8 +124,7 @@ def box_distance(at: Vector, spread: float, margin: float, posed: Float, p: Inde
         ny = 1.0
     else:
         nz = 1.0
-    nx, ny, nz = turn_out((math.copysign(nx, lx), math.copysign(ny, ly), math.copysign(nz, lz)), frames, f)
-    return distance, nx, ny, nz, 0
+    return distance, turn_out((math.copysign(nx, lx), math.copysign(ny, ly), math.copysign(nz, lz)), frames, f), 0
 
 
 @kernel
@@ -254,17 +248,17 @@ an edge those to one side could vanish in all directions."""
 
 
 @forced_inline
-def at_unit_length(distance: float, gx: float, gy: float, gz: float) -> Reading:
+def at_unit_length(distance: float, g: Vector) -> Reading:
     """Return a distance with a gradient's direction, and whether that vanishes."""
-    size = math.sqrt(gx * gx + gy * gy + gz * gz)
-    return (distance, gx / size, gy / size, gz / size, 0) if size > 0.0 else (distance, gx, gy, gz, 1)
+    size = math.sqrt(dot(g, g))
+    return (distance, (g[0] / size, g[1] / size, g[2] / size), 0) if size > 0.0 else (distance, g, 1)
 
 
 @forced_inline
 def read_sampled(fields: SampledFields, number: int, x: float, y: float, z: float) -> Reading:
     """Return distance [m] and normal of a sampled field, as `at_unit_length`."""
     distance, gx, gy, gz = sample(x, y, z, number, fields)
-    return at_unit_length(distance, gx, gy, gz)
+    return at_unit_length(distance, (gx, gy, gz))
 
 
 @kernel
@@ -273,12 +267,12 @@ def read_differences(form: Any, x: float, y: float, z: float) -> Reading:
     gx = distance_of(form, x + STEP, y, z) - distance_of(form, x - STEP, y, z)
     gy = distance_of(form, x, y + STEP, z) - distance_of(form, x, y - STEP, z)
     gz = distance_of(form, x, y, z + STEP) - distance_of(form, x, y, z - STEP)
-    return at_unit_length(distance_of(form, x, y, z), gx, gy, gz)
+    return at_unit_length(distance_of(form, x, y, z), (gx, gy, gz))
 
 
 def read_form(form: Any, x: float, y: float, z: float) -> Reading:
     """Return distance [m] and normal of a closed form: its own gradient, if it has one; kernels call it."""
-    return (float(form.distance(x, y, z)), *form.gradient(x, y, z), 0)
+    return float(form.distance(x, y, z)), form.gradient(x, y, z), 0
 
 
 @overload(read_form, jit_options=INLINE, strict=False)  # type: ignore[untyped-decorator]
@@ -287,7 +281,7 @@ def _read_form(form: Any, x: Any, y: Any, z: Any) -> Any:
 
     def read(form: Any, x: Any, y: Any, z: Any) -> Any:
         nx, ny, nz = gradient(form, x, y, z)
-        return distance_of(form, x, y, z), nx, ny, nz, 0
+        return distance_of(form, x, y, z), (nx, ny, nz), 0
 
     return (lambda form, x, y, z: read_differences(form, x, y, z)) if gradient is None else read
 
@@ -339,22 +333,18 @@ read_field = by_number(read_sampled, read_form)
 def field_reading(
     at: Vector, spread: float, margin: float, posed: Float, p: Index, frames: Float, f: Index, fields: Fields
 ) -> Reading:
-    """Return (distance, normal x, y, z, 1 if the gradient vanishes else 0)."""
+    """Return (distance, normal, 1 if the gradient vanishes else 0)."""
     x, y, z = to_frame(at[0], at[1], at[2], frames, f)
-    distance, nx, ny, nz, mark = read_field(fields, int(posed[p, 7]), x, y, z)
+    distance, n, mark = read_field(fields, int(posed[p, 7]), x, y, z)
     distance -= margin + round_margin(spread, posed[p, 14], posed[p, 6])
-    if mark == 0:
-        nx, ny, nz = turn_out((nx, ny, nz), frames, f)
-        return distance, nx, ny, nz, 0
-    nx, ny, nz = across(nx, ny, nz)
-    return distance, nx, ny, nz, 1
+    return (distance, turn_out(n, frames, f), 0) if mark == 0 else (distance, across(n), 1)
 
 
 @forced_inline
 def primitive_distance(
     at: Vector, spread: float, share: float, p: Index, f: Index, bodies: Bodies, fields: Fields | None
 ) -> Reading:
-    """Return (distance, normal x, y, z, 1 if it has no normal else 0) of any posed primitive p, in frame f, for a
+    """Return (distance, normal, 1 if it has no normal else 0) of any posed primitive p, in frame f, for a
     vertex of triangles of `spread` [m^2] that has a `share`, 0 or 1, of the primitive's margin.
     """
     kind, posed = bodies.kind[p], bodies.posed
@@ -365,9 +355,8 @@ def primitive_distance(
         return box_distance(at, spread, margin, posed, p, bodies.frames, f)
     if fields is not None and kind == FIELD:
         return field_reading(at, spread, margin, posed, p, bodies.frames, f, fields)
-    nx, ny, nz = posed[p, 3], posed[p, 4], posed[p, 5]
-    distance = (at[0] - posed[p, 0]) * nx + (at[1] - posed[p, 1]) * ny + (at[2] - posed[p, 2]) * nz - margin
-    return distance, nx, ny, nz, 0
+    n = posed[p, 3], posed[p, 4], posed[p, 5]
+    return dot(minus(at, row_at(posed, p)), n) - margin, n, 0
 
 
 @kernel

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.energy import edge
 from nuno_kernels.forces.linear import LinearLists
 from nuno_kernels.lanes import (
     WIDTH,
     Triple,
     dot,
+    edge,
     gather_triple,
     load,
     minus,

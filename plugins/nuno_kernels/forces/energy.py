@@ -8,7 +8,7 @@ from typing import NamedTuple
 from nuno_kernels import inlined, kernel
 from nuno_kernels.forces.hinges import FLAT, HingeLists, HingeRuns
 from nuno_kernels.forces.springs import SpringLists, SpringRuns
-from nuno_kernels.lanes import cross, dot
+from nuno_kernels.lanes import cross, dot, edge
 from nuno_kernels.step.acceleration import Packed
 from nuno_kernels.step.blocks import BLOCK
 from nuno_kernels.terms import Measured, kernels_of
@@ -38,8 +38,8 @@ def measure_spring(
     x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None, stretch: float, shortest: float
 ) -> tuple[float, float, float, int]:
     """Return the energy of one spring, and the updated stretch, shortest length and zero-length mark."""
-    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    length, k, rest = math.sqrt(dx * dx + dy * dy + dz * dz), constants[0, c], constants[1, c]
+    d, k, rest = edge(x, i, j), constants[0, c], constants[1, c]
+    length = math.sqrt(dot(d, d))
     if rest > 0.0:
         stretch = max(stretch, length / rest - 1.0)
     if length > 0.0:
@@ -85,12 +85,6 @@ def measure_spring_lists(lists: SpringLists, x: Float) -> Measured:
                 energy += e
                 zeros += zero
     return Measured(energy, stretch, shortest, zeros)
-
-
-@inlined
-def edge(x: Float, i: int, j: int) -> tuple[float, float, float]:
-    """Return x_j - x_i."""
-    return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
 
 
 @kernel

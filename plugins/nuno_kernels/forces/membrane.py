@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nuno_kernels import kernel
-from nuno_kernels.forces.energy import edge
 from nuno_kernels.forces.linear import LinearLists, Rows, linear_lists, listed_elements
 from nuno_kernels.lanes import (
     WIDTH,
@@ -16,6 +15,7 @@ from nuno_kernels.lanes import (
     Triple,
     add_at,
     dot,
+    edge,
     gather_triple,
     higher,
     load,

@@ -13,6 +13,7 @@ from nuno_kernels.lanes import (
     Triple,
     add_at,
     dot,
+    edge,
     gather_triple,
     higher,
     load,
@@ -373,8 +374,8 @@ def _pack_lists(pairs: Long, constants: Float, vertices: int, general: bool = Fa
 @kernel
 def size_of_tension(x: Float, i: int, j: int, constants: Float, c: int, locks: bool | None) -> float:
     """Return the size of a spring's tension [N], |k (|d| - L)| if it has not locked."""
-    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    return abs(tension_at(np.sqrt(dx * dx + dy * dy + dz * dz), constants, c, locks))
+    d = edge(x, i, j)
+    return abs(tension_at(np.sqrt(dot(d, d)), constants, c, locks))
 
 
 @kernel
@@ -403,16 +404,15 @@ def turning(x0: Float, x: Float, d: Float, i: int, j: int, constants: Float, c: 
 
     It is (T(|b|) - T(a.b / |a|)) b.(d_j - d_i) / |b|.
     """
-    ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
-    bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
+    before, now = edge(x0, i, j), edge(x, i, j)
+    a, b = np.sqrt(dot(before, before)), np.sqrt(dot(now, now))
     if a == 0.0 or b == 0.0:
         return 0.0
-    length = (ax * bx + ay * by + az * bz) / a
+    length = dot(before, now) / a
     tension = constants[0, c] * (b - length)
     if locks is not None:
         tension += constants[3, c] * (max(b - constants[4, c], 0.0) - max(length - constants[4, c], 0.0))
-    return float(tension * (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b)
+    return float(tension * dot(now, edge(d, i, j)) / b)
 
 
 @kernel

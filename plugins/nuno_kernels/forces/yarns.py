@@ -16,6 +16,7 @@ from nuno_kernels.lanes import (
     Triple,
     add_at,
     dot,
+    edge,
     higher,
     load,
     load_triple,
@@ -111,8 +112,8 @@ def measure_yarns(yarns: YarnLists, x: Float) -> float:
 @kernel
 def elongation(x: Float, i: int, j: int, rest: float) -> float:
     """Return |d| - L, 0 if |d| is 0: such a link takes no part."""
-    dx, dy, dz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    d = edge(x, i, j)
+    length = math.sqrt(dot(d, d))
     return length - rest if length > 0.0 else 0.0
 
 
@@ -334,10 +335,8 @@ def turning_of_yarns(yarns: YarnLists, x0: Float, x: Float, d: Float) -> float:
 @kernel
 def turned(x0: Float, x: Float, d: Float, i: int, j: int) -> tuple[float, float, float]:
     """Return, for a link that turns from a to b: |b|, its length without turning, a.b / |a|, and b^.(d_j - d_i)."""
-    ax, ay, az = x0[0, j] - x0[0, i], x0[1, j] - x0[1, i], x0[2, j] - x0[2, i]
-    bx, by, bz = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-    a, b = np.sqrt(ax * ax + ay * ay + az * az), np.sqrt(bx * bx + by * by + bz * bz)
+    before, now = edge(x0, i, j), edge(x, i, j)
+    a, b = np.sqrt(dot(before, before)), np.sqrt(dot(now, now))
     if a == 0.0 or b == 0.0:
         return 0.0, 0.0, 0.0
-    gone = (bx * (d[0, j] - d[0, i]) + by * (d[1, j] - d[1, i]) + bz * (d[2, j] - d[2, i])) / b
-    return b, (ax * bx + ay * by + az * bz) / a, gone
+    return b, dot(before, now) / a, dot(now, edge(d, i, j)) / b

@@ -7,18 +7,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Vector
 from nuno_geometry.tree import ROUNDING, in_eights, order_triangles, push_children, stack_boxes
 from nuno_kernels import inlined, kernel
 from nuno_kernels.lanes import (
     WIDTH,
+    cross,
+    dot,
     first_lane,
     higher,
     lane,
     lanes_up_to,
     load,
+    load_triple,
     lower,
+    minus,
+    plus,
     root,
     splat,
+    times,
     where_not_negative,
 )
 from nuno_schemas.fabric import Float, Int
@@ -130,7 +137,7 @@ def make_buffers(keep: int) -> Buffers:
 
 
 @kernel
-def inverse(d: float) -> float:
+def invert(d: float) -> float:
     """Return 1 / d, huge if d is 0, so that no product with 0 is NaN."""
     if abs(d) < 1e-300:
         return 1e300
@@ -138,37 +145,33 @@ def inverse(d: float) -> float:
 
 
 @inlined
-def box_entries(ox: float, oy: float, oz: float, ix: float, iy: float, iz: float, boxes: Float, row: int) -> Any:
-    """Return distances at which a ray enters a node's eight boxes, NaN if it misses them; (ix, iy, iz) are 1 / d."""
-    ax, bx = (load(boxes, row, 0) - ox) * ix, (load(boxes, row + 3, 0) - ox) * ix
-    ay, by = (load(boxes, row + 1, 0) - oy) * iy, (load(boxes, row + 4, 0) - oy) * iy
-    az, bz = (load(boxes, row + 2, 0) - oz) * iz, (load(boxes, row + 5, 0) - oz) * iz
+def box_entries(o: Vector, inverse: Vector, boxes: Float, row: int) -> Any:
+    """Return distances at which a ray enters a node's eight boxes, NaN if it misses them; `inverse` is 1 / d."""
+    low, high = minus(load_triple(boxes, row, 0), o), minus(load_triple(boxes, row + 3, 0), o)
+    ax, bx = low[0] * inverse[0], high[0] * inverse[0]
+    ay, by = low[1] * inverse[1], high[1] * inverse[1]
+    az, bz = low[2] * inverse[2], high[2] * inverse[2]
     enter = higher(higher(lower(ax, bx), lower(ay, by)), higher(lower(az, bz), splat(0.0)))
     leave = lower(lower(higher(ax, bx), higher(ay, by)), higher(az, bz)) * SLOP
     return where_not_negative(leave - enter, enter, splat(np.nan))
 
 
 @inlined
-def capsule_ends(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
+def capsule_ends(o: Vector, d: Vector, rows: Float, row: int) -> Any:
     """Return distances at which a ray enters and leaves a leaf's eight capsules; inf and -inf if it misses."""
-    px, py, pz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
-    wx, wy, wz = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
-    radius = load(rows, row + 6, 0)
-    near = splat(0.0) - (px * dx + py * dy + pz * dz)
-    px, py, pz = px + near * dx, py + near * dy, pz + near * dz
-    ww, wd, wp = wx * wx + wy * wy + wz * wz, wx * dx + wy * dy + wz * dz, wx * px + wy * py + wz * pz
-    pd, pp = px * dx + py * dy + pz * dz, px * px + py * py + pz * pz - radius * radius
-    none = splat(np.inf)
+    p, w, radius = minus(o, load_triple(rows, row, 0)), load_triple(rows, row + 3, 0), load(rows, row + 6, 0)
+    near, none = splat(0.0) - dot(p, d), splat(np.inf)
+    p = plus(p, times(near, d))
+    ww, wd, wp, pd, pp = dot(w, w), dot(w, d), dot(w, p), dot(p, d), dot(p, p) - radius * radius
     # The sphere round a, then that round b, whose p is p - w.
     half = root(pd * pd - pp)
     enter, leave = lower(splat(0.0) - pd - half, none), higher(half - pd, splat(-np.inf))
     qd = pd - wd
     half = root(qd * qd - (pp - 2.0 * wp + ww))
     enter, leave = lower(splat(0.0) - qd - half, enter), higher(half - qd, leave)
-    ux, uy, uz = py * wz - pz * wy, pz * wx - px * wz, px * wy - py * wx
-    vx, vy, vz = dy * wz - dz * wy, dz * wx - dx * wz, dx * wy - dy * wx
-    a, b = vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    half = root(b * b - a * (ux * ux + uy * uy + uz * uz - ww * radius * radius))
+    u, v = cross(p, w), cross(d, w)
+    a, b = dot(v, v), dot(u, v)
+    half = root(b * b - a * (dot(u, u) - ww * radius * radius))
     first, last = (splat(0.0) - b - half) / a, (half - b) / a
     along = wp + first * wd
     enter = lower(where_not_negative(lower(along, ww - along), first, none), enter)
@@ -178,17 +181,12 @@ def capsule_ends(ox: float, oy: float, oz: float, dx: float, dy: float, dz: floa
 
 
 @inlined
-def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rows: Float, row: int) -> Any:
+def triangle_entries(o: Vector, d: Vector, rows: Float, row: int) -> Any:
     """Return distances at which a ray meets a leaf's eight triangles, NaN if it misses (Moeller, Trumbore 1997)."""
-    sx, sy, sz = ox - load(rows, row, 0), oy - load(rows, row + 1, 0), oz - load(rows, row + 2, 0)
-    ex, ey, ez = load(rows, row + 3, 0), load(rows, row + 4, 0), load(rows, row + 5, 0)
-    fx, fy, fz = load(rows, row + 6, 0), load(rows, row + 7, 0), load(rows, row + 8, 0)
-    px, py, pz = dy * fz - dz * fy, dz * fx - dx * fz, dx * fy - dy * fx
-    det = ex * px + ey * py + ez * pz
-    u = (sx * px + sy * py + sz * pz) / det
-    qx, qy, qz = sy * ez - sz * ey, sz * ex - sx * ez, sx * ey - sy * ex
-    v = (dx * qx + dy * qy + dz * qz) / det
-    t = (fx * qx + fy * qy + fz * qz) / det
+    s, e, f = minus(o, load_triple(rows, row, 0)), load_triple(rows, row + 3, 0), load_triple(rows, row + 6, 0)
+    p, q = cross(d, f), cross(s, e)
+    det = dot(e, p)
+    u, v, t = dot(s, p) / det, dot(d, q) / det, dot(f, q) / det
     inside = lower(lower(u, v), 1.0 - u - v) + EDGE
     return where_not_negative(lower(inside, t), t, splat(np.nan))
 
@@ -197,23 +195,23 @@ def triangle_entries(ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
 def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
     """Return (triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) if none."""
     waiting, bound = buffers.waiting, buffers.bound
-    ox, oy, oz, dx, dy, dz = p[0], p[1], p[2], d[0], d[1], d[2]
+    o, way = (p[0], p[1], p[2]), (d[0], d[1], d[2])
     best, nearest = np.inf, -1
     top = 0
     if tree.child.shape[0] > 0:
         waiting[0], bound[0], top = 0, 0.0, 1
-    ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+    inverse = invert(d[0]), invert(d[1]), invert(d[2])
     while top > 0:
         top -= 1
         if bound[top] > best:
             continue
         node = waiting[top]
         if node >= 0:
-            entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
+            entries = box_entries(o, inverse, tree.boxes, 6 * node)
             top = push_children(entries, lanes_up_to(entries, best), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
-        t = triangle_entries(ox, oy, oz, dx, dy, dz, tree.rows, 9 * leaf)
+        t = triangle_entries(o, way, tree.rows, 9 * leaf)
         bits = lanes_up_to(t, best)
         while bits != 0:
             j = first_lane(bits)
@@ -231,23 +229,23 @@ def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buf
     """
     items, enters, leaves = buffers.items, buffers.enters, buffers.leaves
     waiting, bound = buffers.waiting, buffers.bound
-    ox, oy, oz, dx, dy, dz = p[0], p[1], p[2], d[0], d[1], d[2]
+    o, way = (p[0], p[1], p[2]), (d[0], d[1], d[2])
     count, limit = 0, most
     top = 0
     if tree.child.shape[0] > 0:
         waiting[0], bound[0], top = 0, 0.0, 1
-    ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+    inverse = invert(d[0]), invert(d[1]), invert(d[2])
     while top > 0:
         top -= 1
         if bound[top] > limit:
             continue
         node = waiting[top]
         if node >= 0:
-            entries = box_entries(ox, oy, oz, ix, iy, iz, tree.boxes, 6 * node)
+            entries = box_entries(o, inverse, tree.boxes, 6 * node)
             top = push_children(entries, lanes_up_to(entries, limit), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
-        enter, leave = capsule_ends(ox, oy, oz, dx, dy, dz, tree.rows, 7 * leaf)
+        enter, leave = capsule_ends(o, way, tree.rows, 7 * leaf)
         bits = lanes_up_to(enter, limit) & lanes_up_to(splat(0.0) - leave, 0.0)
         while bits != 0:
             j = first_lane(bits)
