@@ -27,6 +27,12 @@ def row_at(x: Float, i: Index) -> Vector:
     return x[i, 0], x[i, 1], x[i, 2]
 
 
+@forced_inline
+def vector(a: Float) -> Vector:
+    """Return an array (3,) as a vector."""
+    return a[0], a[1], a[2]
+
+
 class Frames(Protocol):
     """Arrays of f frames and their motion over an interval.
 

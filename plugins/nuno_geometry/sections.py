@@ -11,7 +11,7 @@ import numpy as np
 from nuno_geometry.normals import edge_numbers
 from nuno_geometry.poses import Vector, row_at
 from nuno_kernels import kernel
-from nuno_kernels.lanes import cross, dot, minus, plus, times
+from nuno_kernels.lanes import cross, dot, minus, over, plus, times
 from nuno_kernels.step.blocks import Long
 from nuno_schemas import vectors
 from nuno_schemas.fabric import Float, Int
@@ -178,11 +178,11 @@ def make_chord(points: Float, normals: Float, i: int, j: int) -> Chord:
     u, w = minus(row_at(points, j), origin), plus(row_at(normals, i), row_at(normals, j))
     length = math.sqrt(dot(u, u))
     if length > 0.0:
-        u = u[0] / length, u[1] / length, u[2] / length
+        u = over(u, length)
     w = minus(w, times(dot(w, u), u))
     size = math.sqrt(dot(w, w))
     if size > 2.0 * UPRIGHT:
-        w = w[0] / size, w[1] / size, w[2] / size
+        w = over(w, size)
     else:
         length = 0.0
     return Chord(origin, u, w, cross(w, u), length)

@@ -358,33 +358,42 @@ def first_lane(builder: Any, bits: Any) -> Any:
 
 # Vectors in space, eight side by side: x, y and z of each are lanes. Lanes may also be single numbers.
 
+Three = Triple | Float
+"""A vector, also as an array (3,)."""
+
 
 @kernel
-def plus(a: Triple, b: Triple) -> Triple:
+def plus(a: Three, b: Three) -> Triple:
     """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel
-def minus(a: Triple, b: Triple) -> Triple:
+def minus(a: Three, b: Three) -> Triple:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
-def times(w: Lanes, a: Triple) -> Triple:
+def times(w: Lanes, a: Three) -> Triple:
     """Return w a."""
     return w * a[0], w * a[1], w * a[2]
 
 
 @kernel
-def dot(a: Triple, b: Triple) -> Lanes:
+def over(a: Three, w: Lanes) -> Triple:
+    """Return a / w."""
+    return a[0] / w, a[1] / w, a[2] / w
+
+
+@kernel
+def dot(a: Three, b: Three) -> Lanes:
     """Return a.b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
-def cross(a: Triple, b: Triple) -> Triple:
+def cross(a: Three, b: Three) -> Triple:
     """Return a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 

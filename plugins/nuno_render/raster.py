@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from nuno_geometry.poses import row_at, vector
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, minus, over, plus
 from nuno_render.annotate import annotate
 from nuno_render.config import RasterConfig
 from nuno_render.refine import refine
@@ -49,27 +51,25 @@ class Floor(NamedTuple):
 @kernel
 def ground_point(x: float, y: float, height: int, floor: Floor, lights: Lights, out: Float) -> None:
     """Write the ground at pixel (x, y), fading into the background with distance, into out (3,)."""
-    plane, rays, eye, normal, centre = floor.plane, floor.rays, floor.eye, lights.up, floor.ground.centre
+    at, up = (x, y, 1.0), vector(lights.up)
     background(y / height, floor.ground, out)
-    inverse = plane[0] * x + plane[1] * y + plane[2]
+    inverse = dot(floor.plane, at)
     if not floor.ground.active or inverse <= 0.0:
         return
-    px = eye[0] + (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]) / inverse
-    py = eye[1] + (rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]) / inverse
-    pz = eye[2] + (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) / inverse
-    dx, dy, dz = px - centre[0], py - centre[1], pz - centre[2]
-    fade = fade_at(dx, dy, dz, floor.ground)
+    rays = floor.rays
+    ray = dot(row_at(rays, 0), at), dot(row_at(rays, 1), at), dot(row_at(rays, 2), at)
+    p = plus(floor.eye, over(ray, inverse))
+    off = minus(p, floor.ground.centre)
+    fade = fade_at(off, floor.ground)
     if fade >= 1.0:
         return
-    light = lights.direction
     lit, free = 1.0, 1.0
-    if lights.depths.shape[0] > 0 and normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2] > 0.0:
-        lit = shadow(lights, px, py, pz, normal[0], normal[1], normal[2])
-    grid, grid_u, grid_v, grid_scale = floor.grid, floor.grid_u, floor.grid_v, floor.grid_scale
-    size = grid.shape[0]
+    if lights.depths.shape[0] > 0 and dot(up, lights.direction) > 0.0:
+        lit = shadow(p, up, lights)
+    grid, size = floor.grid, floor.grid.shape[0]
     if size > 1:
-        gu = (grid_u[0] * dx + grid_u[1] * dy + grid_u[2] * dz) * grid_scale + 0.5 * (size - 1)
-        gv = (grid_v[0] * dx + grid_v[1] * dy + grid_v[2] * dz) * grid_scale + 0.5 * (size - 1)
+        gu = dot(floor.grid_u, off) * floor.grid_scale + 0.5 * (size - 1)
+        gv = dot(floor.grid_v, off) * floor.grid_scale + 0.5 * (size - 1)
         if 0.0 <= gu < size - 1.0 and 0.0 <= gv < size - 1.0:
             i, j = int(gv), int(gu)
             s, t = gu - j, gv - i
@@ -88,8 +88,7 @@ def resolve(
     vertices on the screen.
     """
     height, width, samples = owner.shape
-    work = np.empty((9, 3))
-    colour = np.empty(3)
+    texel, colour = np.empty(3), np.empty(3)
     for row in range(height):
         for column in range(width):
             for k in range(3):
@@ -110,7 +109,7 @@ def resolve(
                 if face < 0:
                     ground_point(px, py, height, floor, lights, colour)
                 else:
-                    shade_point(face, px, py, scene, clip, floor.eye, lights, work, colour)
+                    shade_point(face, px, py, scene, clip, floor.eye, lights, texel, colour)
                 for k in range(3):
                     picture[row, column, k] += colour[k] * count / samples
 

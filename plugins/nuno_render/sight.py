@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_geometry.poses import Vector
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, over, plus, times
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.pictures import Camera, axes
@@ -109,11 +111,8 @@ def sight_of(camera: Camera) -> Sight:
 
 
 @kernel
-def aim(sight: Sight, x: float, y: float, width: int, height: int, d: Float) -> None:
-    """Write the unit vector along the ray through (x, y) [pixels] from a picture's upper left corner into d (3,)."""
+def aim(sight: Sight, x: float, y: float, width: int, height: int) -> Vector:
+    """Return the unit vector along the ray through (x, y) [pixels] from a picture's upper left corner."""
     u, v = (x - 0.5 * width) / sight.focal, (0.5 * height - y) / sight.focal
-    for k in range(3):
-        d[k] = sight.forward[k] + u * sight.right[k] + v * sight.up[k]
-    norm = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-    for k in range(3):
-        d[k] /= norm
+    d = plus(plus(sight.forward, times(u, sight.right)), times(v, sight.up))
+    return over(d, np.sqrt(dot(d, d)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nuno_geometry.normals import face_normals
 from nuno_geometry.poses import Vector, row_at
 from nuno_kernels import kernel
-from nuno_kernels.lanes import cross, dot, minus, plus
+from nuno_kernels.lanes import cross, dot, minus, over, plus
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
 from nuno_wrinkle.edges import any_of
@@ -74,10 +74,9 @@ def _area_vector(x: Float, a: int, b: int, c: int) -> Vector:
 def _may_flip(x: Float, u: int, v: int, p: int, q: int) -> bool:
     """Return whether the triangles u, v, p and v, u, q form a convex quad, seen along the sum of their normals."""
     s, g = _area_vector(x, u, v, p), _area_vector(x, v, u, q)
-    size_s, size_g = np.sqrt(dot(s, s)), np.sqrt(dot(g, g))
     if dot(s, g) <= 0.0:
         return False
-    normal = s[0] / size_s + g[0] / size_g, s[1] / size_s + g[1] / size_g, s[2] / size_s + g[2] / size_g
+    normal = plus(over(s, np.sqrt(dot(s, s))), over(g, np.sqrt(dot(g, g))))
     least = CONVEX * dot(plus(s, g), normal)
     return bool(dot(_area_vector(x, p, u, q), normal) > least and dot(_area_vector(x, q, v, p), normal) > least)
 

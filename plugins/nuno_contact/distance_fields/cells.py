@@ -19,7 +19,7 @@ from nuno_geometry.closest_point import closest, corners_of
 from nuno_geometry.poses import Vector, row_at
 from nuno_geometry.tree import Room, Tree, make_room
 from nuno_kernels import forced_inline, kernel, parallel_kernel
-from nuno_kernels.lanes import WIDTH, cross, dot, minus, plus
+from nuno_kernels.lanes import WIDTH, cross, dot, minus, over, plus
 from nuno_kernels.step.blocks import Long
 from nuno_schemas.fabric import Float
 
@@ -173,9 +173,7 @@ def exact(p: Vector, start: int, tree: Tree, dipoles: Dipoles | None, room: Room
     if abs(distance) <= ON_SURFACE * (abs(p[0]) + abs(p[1]) + abs(p[2])):
         way = near.normal
         size = math.sqrt(dot(way, way))
-    if size == 0.0:
-        return distance, (0.0, 0.0, 0.0), near.place
-    return distance, (way[0] / size, way[1] / size, way[2] / size), near.place
+    return distance, over(way, size) if size != 0.0 else (0.0, 0.0, 0.0), near.place
 
 
 @parallel_kernel

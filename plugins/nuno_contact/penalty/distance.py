@@ -18,7 +18,7 @@ from nuno_contact.margins import round_margin
 from nuno_geometry.poses import Index, Vector, row_at, to_frame, turn_in, turn_out
 from nuno_kernels import forced_inline, kernel
 from nuno_kernels.formula import INLINE, distance_of
-from nuno_kernels.lanes import WIDTH, any_below, dot, higher, lane, load, lower, minus, read, splat, times
+from nuno_kernels.lanes import WIDTH, any_below, dot, higher, lane, load, lower, minus, over, read, splat, times
 from nuno_kernels.terms import define
 from nuno_schemas.fabric import Float, Int
 
@@ -83,15 +83,14 @@ def across(d: Vector) -> Vector:
     longest = max(ax, ay, az)
     if longest == 0.0:
         return 0.0, 1.0, 0.0
-    dx, dy, dz = d[0] / longest, d[1] / longest, d[2] / longest
+    dx, dy, dz = over(d, longest)
     if ay <= ax and ay <= az:
         n = -dz, 0.0, dx
     elif ax <= az:
         n = 0.0, dz, -dy
     else:
         n = dy, -dx, 0.0
-    length = math.sqrt(dot(n, n))
-    return n[0] / length, n[1] / length, n[2] / length
+    return over(n, math.sqrt(dot(n, n)))
 
 
 @forced_inline
@@ -251,7 +250,7 @@ an edge those to one side could vanish in all directions."""
 def at_unit_length(distance: float, g: Vector) -> Reading:
     """Return a distance with a gradient's direction, and whether that vanishes."""
     size = math.sqrt(dot(g, g))
-    return (distance, (g[0] / size, g[1] / size, g[2] / size), 0) if size > 0.0 else (distance, g, 1)
+    return (distance, over(g, size), 0) if size > 0.0 else (distance, g, 1)
 
 
 @forced_inline

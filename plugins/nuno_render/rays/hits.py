@@ -114,7 +114,7 @@ EDGE = 1e-12
 
 class Buffers(NamedTuple):
     """Scratch for rays: capsules met (keep,), where rays enter and leave them [m], those of one ray that are shaded
-    after it, the stack of nodes (DEPTH,) with their distances, and vectors (11, 3) for shading.
+    after it, the stack of nodes (DEPTH,) with their distances, and vectors (2, 3) for shading.
     """
 
     items: NDArray[np.int64]
@@ -132,7 +132,7 @@ def make_buffers(keep: int) -> Buffers:
     """Return buffers for rays through at most `keep` capsules."""
     return Buffers(
         np.empty(keep, np.int64), np.empty(keep), np.empty(keep), np.empty(keep, np.int64), np.empty(keep),
-        np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((11, 3)),
+        np.empty(DEPTH, np.int64), np.empty(DEPTH), np.empty((2, 3)),
     )  # fmt: skip
 
 
@@ -192,10 +192,9 @@ def triangle_entries(o: Vector, d: Vector, rows: Float, row: int) -> Any:
 
 
 @kernel
-def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
-    """Return (triangle, distance) of the first that a ray from p (3,) along d (3,) meets; (-1, inf) if none."""
+def meet_triangle(o: Vector, d: Vector, tree: RayTree, buffers: Buffers) -> tuple[int, float]:
+    """Return (triangle, distance) of the first that a ray from o along d meets; (-1, inf) if none."""
     waiting, bound = buffers.waiting, buffers.bound
-    o, way = (p[0], p[1], p[2]), (d[0], d[1], d[2])
     best, nearest = np.inf, -1
     top = 0
     if tree.child.shape[0] > 0:
@@ -211,7 +210,7 @@ def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[
             top = push_children(entries, lanes_up_to(entries, best), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
-        t = triangle_entries(o, way, tree.rows, 9 * leaf)
+        t = triangle_entries(o, d, tree.rows, 9 * leaf)
         bits = lanes_up_to(t, best)
         while bits != 0:
             j = first_lane(bits)
@@ -223,13 +222,12 @@ def meet_triangle(p: Float, d: Float, tree: RayTree, buffers: Buffers) -> tuple[
 
 
 @kernel
-def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buffers: Buffers) -> int:
+def meet_capsules(o: Vector, d: Vector, most: float, tree: RayTree, keep: int, buffers: Buffers) -> int:
     """Write the first `keep` capsules that a ray meets up to a distance into the buffers, nearest first. Return their
     number. A capsule in which the ray starts has a distance below 0.
     """
     items, enters, leaves = buffers.items, buffers.enters, buffers.leaves
     waiting, bound = buffers.waiting, buffers.bound
-    o, way = (p[0], p[1], p[2]), (d[0], d[1], d[2])
     count, limit = 0, most
     top = 0
     if tree.child.shape[0] > 0:
@@ -245,7 +243,7 @@ def meet_capsules(p: Float, d: Float, most: float, tree: RayTree, keep: int, buf
             top = push_children(entries, lanes_up_to(entries, limit), tree.child[node], waiting, bound, top)
             continue
         leaf = -1 - node
-        enter, leave = capsule_ends(o, way, tree.rows, 7 * leaf)
+        enter, leave = capsule_ends(o, d, tree.rows, 7 * leaf)
         bits = lanes_up_to(enter, limit) & lanes_up_to(splat(0.0) - leave, 0.0)
         while bits != 0:
             j = first_lane(bits)

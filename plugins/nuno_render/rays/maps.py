@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from nuno_geometry.poses import Vector, row_at, vector
 from nuno_kernels import block_kernel, kernel
+from nuno_kernels.lanes import dot, minus, plus, times
 from nuno_render.annotate import annotate
 from nuno_render.config import DensityConfig, Legend, MapConfig, grid_of
 from nuno_render.raster import encode_picture
@@ -18,6 +20,7 @@ from nuno_render.rays.surfaces import find_weights
 from nuno_render.rays.worn import Skin, check_eye, gather_skin
 from nuno_render.rays.yarns import draw_in_parts
 from nuno_render.shading.lighting import key_direction, unit
+from nuno_render.shading.shade import blend
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import colours, parse_hex
 from nuno_schemas.errors import BadInput
@@ -68,8 +71,8 @@ def sum_near(x: float, y: float, z: float, cells: Any) -> tuple[int, float]:
         for b in range(max(j - 1, 0), min(j + 1, shape[1] - 1) + 1):
             row = (a * shape[1] + b) * shape[2]
             for p in range(np.searchsorted(cells.key, row + first), np.searchsorted(cells.key, row + last + 1)):
-                dx, dy, dz = cells.points[p, 0] - x, cells.points[p, 1] - y, cells.points[p, 2] - z
-                if dx * dx + dy * dy + dz * dz <= reach * reach:
+                off = minus(row_at(cells.points, p), (x, y, z))
+                if dot(off, off) <= reach * reach:
                     count += 1
                     total += cells.values[p]
     return count, total
@@ -91,15 +94,14 @@ class Shown(NamedTuple):
 
 
 @kernel
-def value_at(p: Float, face: int, weights: Any, skin: Skin, shown: Shown) -> Any:
-    """Return the value at a point p (3,) of a face; NaN if it has none."""
+def value_at(p: Vector, face: int, weights: Any, skin: Skin, shown: Shown) -> Any:
+    """Return the value at a point p of a face; NaN if it has none."""
     mode, values = shown.mode, shown.on_surface
     if mode == ON_FACES:
         return values[face]
-    s, r = weights
     a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
     if mode == ON_VERTICES:
-        return (1.0 - s - r) * values[a] + s * values[b] + r * values[c]
+        return weights[0] * values[a] + weights[1] * values[b] + weights[2] * values[c]
     count, total = sum_near(p[0], p[1], p[2], shown.cells)
     if mode == COUNTS:
         return float(count)
@@ -114,35 +116,24 @@ def map_rows(
 
     grid: columns and rows of samples, and the seed.
     """
-    eye = sight.eye
+    eye, buffers = vector(sight.eye), make_buffers(1)
     columns, rows, seed = grid
     height, width = out.shape[0], out.shape[1]
-    buffers = make_buffers(1)
-    d, p, g = np.empty(3), np.empty(3), np.empty(3)
-    x, normals = skin.x, skin.normals
     for row in range(first, last):
         for column in range(width):
             pattern = scramble(row * width + column, seed)
             for sample in range(columns * rows):
                 sx, sy = place_sample(sample, columns, rows, pattern)
-                aim(sight, column + sx, row + sy, width, height, d)
+                d = aim(sight, column + sx, row + sy, width, height)
                 face, t = meet_triangle(eye, d, skin.tree, buffers)
                 out[row, column, sample, 0], out[row, column, sample, 1] = BACKGROUND, 0.0
                 if face < 0:
                     continue
-                a, b, c = skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2]
-                for k in range(3):
-                    i, j = (k + 1) % 3, (k + 2) % 3
-                    g[k] = (x[b, i] - x[a, i]) * (x[c, j] - x[a, j]) - (x[b, j] - x[a, j]) * (x[c, i] - x[a, i])
-                    p[k] = eye[k] + t * d[k]
-                s, r, _ = find_weights(p, g, x, a, b, c)
-                cosine, norm = 0.0, 1e-300
-                for k in range(3):
-                    n = (1.0 - s - r) * normals[a, k] + s * normals[b, k] + r * normals[c, k]
-                    cosine += n * light[k]
-                    norm += n * n
-                out[row, column, sample, 0] = value_at(p, face, (s, r), skin, shown)
-                out[row, column, sample, 1] = cosine / np.sqrt(norm)
+                p, corners = plus(eye, times(t, d)), (skin.faces[face, 0], skin.faces[face, 1], skin.faces[face, 2])
+                weights, _, _ = find_weights(p, skin.x, corners)
+                n = blend(weights, skin.normals, corners)
+                out[row, column, sample, 0] = value_at(p, face, weights, skin, shown)
+                out[row, column, sample, 1] = dot(n, light) / np.sqrt(dot(n, n) + 1e-300)
 
 
 LINKS = 5.0

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Vector
 from nuno_kernels import kernel
 from nuno_render.rays.hits import (
     Buffers,
@@ -137,14 +138,14 @@ def tangents_along(points: Float, yarns: YarnCurves) -> Float:
 
 def check_eye(bodies: tuple[Mesh, ...], camera: Camera) -> None:
     """Raise BadInput if the eye is inside of a closed body: the first face ahead then shows its back."""
-    forward = np.asarray(axes(camera)[2])
+    x, y, z = axes(camera)[2]
     closed = tuple(mesh for mesh in bodies if not mesh.two_sided)
     eye = np.asarray(camera.eye, np.float64)
     skin = gather_skin(closed, eye, "#000000")
-    face, _ = meet_triangle(np.zeros(3), forward, skin.tree, make_buffers(1))
+    face, _ = meet_triangle((0.0, 0.0, 0.0), (float(x), float(y), float(z)), skin.tree, make_buffers(1))
     if face >= 0:
         a, b, c = skin.x[skin.faces[face]]
-        if float(unit(np.cross(b - a, c - a)) @ forward) > 0.0:
+        if float(unit(np.cross(b - a, c - a)) @ (x, y, z)) > 0.0:
             raise BadInput(
                 "the camera's eye is inside a body", field="camera.eye", value=[round(float(v), 4) for v in eye],
                 remedy="give a larger view.distance, or another target",
@@ -172,8 +173,8 @@ def join_crossings(count: int, items: NDArray[np.int64], enters: Float, leaves: 
 
 
 @kernel
-def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, buffers: Buffers) -> int:
-    """Write crossings of yarns from p (3,) along d (3,) up to a distance into the buffers. Return their number."""
+def cross_yarns(p: Vector, d: Vector, most: float, threads: Threads, keep: int, buffers: Buffers) -> int:
+    """Write crossings of yarns from p along d up to a distance into the buffers. Return their number."""
     count = meet_capsules(p, d, most, threads.tree, keep, buffers)
     if count < 2:
         return count
@@ -181,8 +182,8 @@ def cross_yarns(p: Float, d: Float, most: float, threads: Threads, keep: int, bu
 
 
 @kernel
-def free_way(p: Float, d: Float, skin: Skin, threads: Threads, flat: bool, keep: int, buffers: Buffers) -> float:
-    """Return the share of light that reaches p (3,) from direction d (3,): 0 through bodies, and what yarns let
+def free_way(p: Vector, d: Vector, skin: Skin, threads: Threads, flat: bool, keep: int, buffers: Buffers) -> float:
+    """Return the share of light that reaches p from direction d: 0 through bodies, and what yarns let
     through, all of it if they are `flat`; the mean of all colours.
     """
     face, _ = meet_triangle(p, d, skin.tree, buffers)

@@ -11,7 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
+from nuno_geometry.poses import Vector, vector
 from nuno_kernels import block_kernel, kernel
+from nuno_kernels.lanes import dot
 from nuno_render.annotate import annotate
 from nuno_render.config import CastConfig, LinesConfig, YarnsConfig, grid_of
 from nuno_render.raster import encode_picture
@@ -41,13 +43,13 @@ FAINT = 1.0 / 1024.0
 
 @kernel
 def see(
-    d: Float, down: float, look: Look, skin: Skin, threads: Threads, floor: Ground, sample: Any, buffers: Buffers,
+    d: Vector, down: float, look: Look, skin: Skin, threads: Threads, floor: Ground, sample: Any, buffers: Buffers,
     out: Float,
 ) -> None:  # fmt: skip
     """Write radiance and the yarns' share of it along a ray, at a share `down` of the picture's height, to out (4,)."""
-    eye, up, hues = look.eye, look.up, threads.hues
+    eye, hues = vector(look.eye), threads.hues
     face, most = meet_triangle(eye, d, skin.tree, buffers)
-    fall = up[0] * d[0] + up[1] * d[1] + up[2] * d[2]
+    fall = dot(look.up, d)
     on_floor = False
     if floor.active and fall < 0.0 and floor.drop / fall < most:
         face, most, on_floor = -1, floor.drop / fall, True
@@ -55,7 +57,7 @@ def see(
     items, enters = buffers.met, buffers.met_at
     for i in range(count):
         items[i], enters[i] = buffers.items[i], buffers.enters[i]
-    colour, weight = buffers.work[9], buffers.work[10]
+    colour, weight = buffers.work[0], buffers.work[1]
     for k in range(3):
         out[k], weight[k] = 0.0, 1.0
     for i in range(count):
@@ -93,7 +95,7 @@ def cast_rows(
     """
     columns, rows, seed = grid
     height, width = picture.shape[0], picture.shape[1]
-    buffers, d, out = make_buffers(KEEP), np.empty(3), np.empty(4)
+    buffers, out = make_buffers(KEEP), np.empty(4)
     samples = columns * rows
     for row in range(first, last):
         for column in range(width):
@@ -101,7 +103,7 @@ def cast_rows(
             total = (0.0, 0.0, 0.0, 0.0)
             for s in range(samples):
                 x, y = place_sample(s, columns, rows, pattern)
-                aim(sight, column + x, row + y, width, height, d)
+                d = aim(sight, column + x, row + y, width, height)
                 sample = (s, columns, rows, pattern)
                 see(d, (row + y) / height, look, skin, threads, floor, sample, buffers, out)
                 total = (total[0] + out[0], total[1] + out[1], total[2] + out[2], total[3] + out[3])

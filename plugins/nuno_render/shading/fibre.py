@@ -19,7 +19,9 @@ import math
 
 import numpy as np
 
+from nuno_geometry.poses import Vector
 from nuno_kernels import kernel
+from nuno_kernels.lanes import cross, dot
 from nuno_schemas.fabric import Float
 
 NYLON = 1.53
@@ -97,23 +99,16 @@ def fresnel(cosine: float, eta: float) -> float:
 
 
 @kernel
-def scatter(t: Float, n: Float, light: Float, view: Float, absorption: Float, lobes: Float, out: Float) -> None:
+def scatter(t: Vector, n: Vector, light: Float, view: Vector, absorption: Float, lobes: Float, out: Float) -> None:
     """Write into out (3,) pi times the share of light from `light` that a fibre along t scatters toward `view`, per
     unit of solid angle and with cos(theta_i): the radiance where a white diffuse surface that faces the light has 1.
 
     All are unit vectors (3,), n the normal where the ray meets the fibre.
     """
-    sin_i, sin_o, lv, nv, turned = 0.0, 0.0, 0.0, 0.0, 0.0
-    about_light, about_normal = 0.0, 0.0
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        sin_i, sin_o = sin_i + t[k] * light[k], sin_o + t[k] * view[k]
-        lv, nv, turned = lv + light[k] * view[k], nv + n[k] * view[k], turned + n[k] * t[k]
-        about_light += t[k] * (view[i] * light[j] - view[j] * light[i])
-        about_normal += t[k] * (view[i] * n[j] - view[j] * n[i])
+    sin_i, sin_o = dot(t, light), dot(t, view)
     cos_i, cos_o = math.sqrt(max(1.0 - sin_i * sin_i, 0.0)), math.sqrt(max(1.0 - sin_o * sin_o, 1e-12))
-    phi = math.atan2(about_light, lv - sin_i * sin_o)
-    gamma = -math.atan2(about_normal, nv - turned * sin_o)
+    phi = math.atan2(dot(t, cross(view, light)), dot(light, view) - sin_i * sin_o)
+    gamma = -math.atan2(dot(t, cross(view, n)), dot(n, view) - dot(n, t) * sin_o)
     h = min(max(math.sin(gamma), -1.0), 1.0)
     reflected = fresnel(cos_o * math.sqrt(1.0 - h * h), NYLON)
     cos_in = math.sqrt(1.0 - (sin_o / NYLON) ** 2)

@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nuno_geometry.poses import Vector
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot
 from nuno_render.config import PictureConfig
 from nuno_render.shading.shade import sky
 from nuno_schemas.colour import parse_hex
@@ -62,9 +64,9 @@ def background(down: float, ground: Ground, out: Float) -> None:
 
 
 @kernel
-def fade_at(dx: float, dy: float, dz: float, ground: Ground) -> float:
-    """Return the share of the background in the floor at (dx, dy, dz) [m] from its centre, 0 to 1."""
-    distance = np.sqrt(dx * dx + dy * dy + dz * dz) / ground.radius
+def fade_at(off: Vector, ground: Ground) -> float:
+    """Return the share of the background in the floor at a way [m] from its centre, 0 to 1."""
+    distance = np.sqrt(dot(off, off)) / ground.radius
     fade: float = min(max((distance - 1.0) / 4.0, 0.0), 1.0)
     return fade * fade * (3.0 - 2.0 * fade)
 
@@ -74,8 +76,7 @@ def lay_floor(fade: float, lit: float, free: float, ground: Ground, lights: Any,
     """Blend the floor's radiance into out (3,), which holds the background; lit, free: parts of the key light and of
     the sky that reach it. `lights` have the needed fields of nuno_render.shading.lighting.Lights.
     """
-    up, light, colour = lights.up, lights.direction, lights.colour
-    nl = max(up[0] * light[0] + up[1] * light[1] + up[2] * light[2], 0.0)
+    nl = max(dot(lights.up, lights.direction), 0.0)
     for k in range(3):
-        radiance = ground.albedo[k] * (colour[k] * nl * lit + sky(1.0, lights.sky, lights.ground, k) * free)
+        radiance = ground.albedo[k] * (lights.colour[k] * nl * lit + sky(1.0, lights.sky, lights.ground, k) * free)
         out[k] += (1.0 - fade) * (radiance - out[k])

@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nuno_geometry.poses import Vector, row_at, vector
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, minus, plus, times
 from nuno_render.config import PictureConfig, RasterConfig
 from nuno_render.scene import DrawnScene
 from nuno_schemas.fabric import Float, Int
@@ -49,6 +51,15 @@ class Lights(NamedTuple):
 
 
 @kernel
+def on_map(p: Vector, basis: Float, scale: float, size: int) -> Vector:
+    """Return the place of a point on a map, right and down [texels], and its distance along the map's axis; the point
+    is relative to the middle of the map, which has `size` texels a side.
+    """
+    u, v = dot(row_at(basis, 0), p) * scale + 0.5 * size, dot(row_at(basis, 1), p) * scale + 0.5 * size
+    return u, v, dot(row_at(basis, 2), p)
+
+
+@kernel
 def draw_depths(
     positions: Float, faces: Int, basis: Float, centre: Float, scale: float, nearest: NDArray[np.float32],
     farthest: NDArray[np.float32],
@@ -65,12 +76,7 @@ def draw_depths(
     count = positions.shape[0]
     seen = np.empty((count, 3))
     for i in range(count):
-        x = positions[i, 0] - centre[0]
-        y = positions[i, 1] - centre[1]
-        z = positions[i, 2] - centre[2]
-        seen[i, 0] = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
-        seen[i, 1] = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
-        seen[i, 2] = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+        seen[i, 0], seen[i, 1], seen[i, 2] = on_map(minus(row_at(positions, i), centre), basis, scale, size)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
@@ -121,10 +127,10 @@ def open_part(depths: NDArray[np.float32], x: float, y: float, z: float, sign: f
 
 
 @kernel
-def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, lights: Lights) -> float:
-    """Return the share of the sky's light that reaches a point, 0 to 1.
+def openness(p: Vector, n: Vector, lights: Lights) -> float:
+    """Return the share of the sky's light that reaches a point p, 0 to 1.
 
-    (px, py, pz) is a point and (nx, ny, nz) its unit normal on the visible side. Each axis of the sky's maps serves the
+    n is its unit normal on the visible side. Each axis of the sky's maps serves the
     one of its two directions that the normal faces, weighted by cosine and by a sky that is brighter overhead. Without
     maps everything is open.
     """
@@ -132,20 +138,18 @@ def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, l
     centre, scale = lights.centre, lights.sky_scale
     size = nearest.shape[1]
     lift = 1.5 / scale
-    x, y, z = px - centre[0] + lift * nx, py - centre[1] + lift * ny, pz - centre[2] + lift * nz
+    raised = plus(minus(p, centre), times(lift, n))
     total, free = 0.0, 0.0
     for k in range(nearest.shape[0]):
         basis = bases[k]
-        cosine = nx * basis[2, 0] + ny * basis[2, 1] + nz * basis[2, 2]
+        axis = row_at(basis, 2)
+        cosine = dot(n, axis)
         sign = 1.0 if cosine >= 0.0 else -1.0
-        u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
-        v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
-        w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
+        u, v, w = on_map(raised, basis, scale, size)
         # A slope rises within a texel: the tolerance grows with it, up to a limit.
         slope = np.sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 0.1)
         slack = lift * (0.5 + min(slope, 4.0))
-        rise = basis[2, 0] * up[0] + basis[2, 1] * up[1] + basis[2, 2] * up[2]
-        weight = abs(cosine) * (0.8 + 0.5 * sign * rise)
+        weight = abs(cosine) * (0.8 + 0.5 * sign * dot(axis, up))
         total += weight
         free += weight * open_part(nearest[k] if sign > 0.0 else farthest[k], u, v, w + sign * slack, sign)
     return free / total if total > 0.0 else 1.0
@@ -154,35 +158,26 @@ def openness(px: float, py: float, pz: float, nx: float, ny: float, nz: float, l
 @kernel
 def floor_openness(corner: Float, across: Float, along: Float, lights: Lights, out: Float) -> None:
     """Write the openness of a floor at corner + j across + i along into out[i, j]; all vectors (3,) [m]."""
-    normal = lights.up
+    up = vector(lights.up)
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            x = corner[0] + j * across[0] + i * along[0]
-            y = corner[1] + j * across[1] + i * along[1]
-            z = corner[2] + j * across[2] + i * along[2]
-            out[i, j] = openness(x, y, z, normal[0], normal[1], normal[2], lights)
+            out[i, j] = openness(plus(plus(corner, times(j, across)), times(i, along)), up, lights)
 
 
 @kernel
-def shadow(lights: Lights, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
-    """Return the share of the key light that reaches a point, 0 to 1: percentage-closer soft shadows.
-
-    (px, py, pz) the point, lifted off its surface; (nx, ny, nz) its surface's unit normal on the
-    lit side.
+def shadow(p: Vector, n: Vector, lights: Lights) -> float:
+    """Return the share of the key light that reaches a point p, lifted off its surface, 0 to 1: percentage-closer soft
+    shadows. n is the surface's unit normal on the lit side.
 
     The taps compare with the receiver's own tangent plane rather than with one depth, so that a
     wide filter neither darkens a slope (acne) nor needs a large bias (detached shadows). The
     width is that of the penumbra: distance to the mean blocker times the spread (Fernando 2005).
     """
-    depths, disc, basis, centre, scale = lights.depths, lights.disc, lights.basis, lights.centre, lights.scale
+    depths, disc, basis, scale = lights.depths, lights.disc, lights.basis, lights.scale
     size = depths.shape[0]
-    x, y, z = px - centre[0], py - centre[1], pz - centre[2]
-    u = (basis[0, 0] * x + basis[0, 1] * y + basis[0, 2] * z) * scale + 0.5 * size
-    v = (basis[1, 0] * x + basis[1, 1] * y + basis[1, 2] * z) * scale + 0.5 * size
-    w = basis[2, 0] * x + basis[2, 1] * y + basis[2, 2] * z
-    facing = max(basis[2, 0] * nx + basis[2, 1] * ny + basis[2, 2] * nz, 0.15)
-    gu = -(basis[0, 0] * nx + basis[0, 1] * ny + basis[0, 2] * nz) / (facing * scale)
-    gv = -(basis[1, 0] * nx + basis[1, 1] * ny + basis[1, 2] * nz) / (facing * scale)
+    u, v, w = on_map(minus(p, lights.centre), basis, scale, size)
+    facing = max(dot(row_at(basis, 2), n), 0.15)
+    gu, gv = -dot(row_at(basis, 0), n) / (facing * scale), -dot(row_at(basis, 1), n) / (facing * scale)
     search = 0.02 * size
     blockers, clear, total = 0, 0, 0.0
     taps = disc.shape[0]
