@@ -234,8 +234,9 @@ class Geometry:
         return replace(part, **arrays, bodies=tuple(self.bodies[i] for i in chosen), body=body)
 
     def mesh(self, primitive: int) -> tuple[Float, Int]:
-        """Return the vertices (n, 3) [m] and faces (f, 3) of a primitive that has a mesh."""
-        return pick_mesh(self.vertices, self.faces[self.owner == primitive])
+        """Return the vertices (n, 3) [m], in ascending order, and faces (f, 3) of a primitive that has a mesh."""
+        used, numbers = np.unique(self.faces[self.owner == primitive], return_inverse=True)
+        return self.vertices[used], numbers.reshape(-1, 3).astype(np.int32)
 
     def placed(self, primitive: int, poses: Poses) -> tuple[Float, Int]:
         """Return the mesh with its vertices in the world. Raises IndexError for poses with too few frames.
@@ -249,12 +250,6 @@ class Geometry:
         turn = rotation_matrices(poses.rotation[frame][None])[0]
         turned = x[:, :1] * turn[:, 0] + x[:, 1:2] * turn[:, 1] + x[:, 2:] * turn[:, 2]
         return turned + poses.translation[frame], faces
-
-
-def pick_mesh(vertices: Float, faces: Int) -> tuple[Float, Int]:
-    """Return the vertices that faces (f, 3) use, in ascending order, and the faces renumbered to them."""
-    used, numbers = np.unique(faces, return_inverse=True)
-    return vertices[used], numbers.reshape(-1, 3).astype(np.int32)
 
 
 @dataclass(frozen=True)

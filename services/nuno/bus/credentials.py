@@ -172,15 +172,11 @@ class Rights(BaseModel):
     asks: tuple[str, ...] = ()
 
 
-def deploy_folder() -> Path:
-    """Return the folder of the deployment files, in the source tree or in the installed package."""
-    beside = Path(__file__).resolve().parents[3] / "deploy"
-    return beside if beside.is_dir() else Path(str(files("nuno"))) / "deploy"
-
-
 def read_rights() -> dict[str, Rights]:
     """Read the rights of each role, from the file that comes with nuno."""
-    table = yaml.safe_load((deploy_folder() / "access.yaml").read_text(encoding="utf-8"))
+    source = Path(__file__).resolve().parents[3]
+    folder = source if (source / "deploy").is_dir() else Path(str(files("nuno")))  # else the installed package
+    table = yaml.safe_load((folder / "deploy/access.yaml").read_text(encoding="utf-8"))
     return {role: Rights.model_validate(rights) for role, rights in table.items()}
 
 

@@ -52,8 +52,11 @@ def doctor_command(args: argparse.Namespace) -> int:
     rows = [Row("python", "ok", platform.python_version()), *(Row(name, "ok", version(name)) for name in names)]
     for check in checks:
         rows.append(_checked(check))
-        if check is _kernels:
-            rows += _of_kernels(ready=rows[-1].verdict == "ok")
+        if check is _kernels and rows[-1].verdict == "ok":
+            rows += [_checked(_threads), _checked(_cache)]
+        elif check is _kernels:
+            unknown = "not known: no kernel has run, see above"
+            rows += [Row("threads", "note", unknown), Row("kernel cache", "note", unknown)]
     for row in rows:
         print(f"{row.verdict:6} {row.name:14} {row.text}")
         if row.remedy:
@@ -89,13 +92,6 @@ def _kernels() -> Row:
     simulation.advance(None, None)
     simulation.about()  # chooses numba's threading layer, which `_threads` reads
     return Row("kernels", "ok", f"ready, and a scene stepped, in {time.perf_counter() - start:.1f} s")
-
-
-def _of_kernels(ready: bool) -> list[Row]:
-    """Return rows of threads and of the kernel cache, which are unknown before a kernel has run."""
-    if ready:
-        return [_checked(_threads), _checked(_cache)]
-    return [Row(name, "note", "not known: no kernel has run, see above") for name in ("threads", "kernel cache")]
 
 
 def _threads() -> Row:

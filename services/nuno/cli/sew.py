@@ -23,7 +23,7 @@ from nuno.scene.templates import Garment, build_body, describe_worn, is_own, nam
 from nuno.scene.validation_errors import explain
 from nuno_schemas.bodies import UNITS
 from nuno_schemas.errors import BadInput
-from nuno_schemas.pattern import Checked, Remark
+from nuno_schemas.pattern import Checked
 from nuno_schemas.units import to_si
 
 MANNEQUIN = Path("mannequin")
@@ -222,15 +222,9 @@ def describe(file: str, pattern: Checked) -> str:
         lines += ["", align([["opening cm", "edges round it"], *cells], left=(1,))]
     wrong = [remark for remark in pattern.remarks if remark.wrong]
     for title, remarks in (("wrong", wrong), ("remarks", [each for each in pattern.remarks if not each.wrong])):
+        cells = [[one.kind, str(one.line or ""), one.where, one.text + (f" ({one.remedy})" if one.remedy else "")]
+                 for one in remarks]  # fmt: skip
         if remarks:
-            lines += ["", *_remark_table(title, remarks)]
+            lines += ["", align([[title, "line", "where", "what"], *cells], left=(0, 2, 3))]
     verdict = f"cannot be sewn: {many(len(wrong), 'error')}" if wrong else "can be sewn"
     return "\n".join([*lines, "", f"{file}: {verdict}, {many(len(pattern.remarks) - len(wrong), 'remark')}", ""])
-
-
-def _remark_table(title: str, remarks: list[Remark]) -> list[str]:
-    rows = [[title, "line", "where", "what"]]
-    for one in remarks:
-        remedy = f" ({one.remedy})" if one.remedy else ""
-        rows.append([one.kind, str(one.line or ""), one.where, one.text + remedy])
-    return align(rows, left=(0, 2, 3)).split("\n")

@@ -126,7 +126,10 @@ class Painter:
         camera, of_dye = of_camera(self.recording, others)
         self.dyed = None if measured else read_dyed_object(self.recording, replace(changes, overrides=of_dye))
         self.pressure = require_pressure(self.recording) if self.colour == "pressure" else None
-        self.most = 1.0 if self.pressure is None else _most(self.pressure, self.shown)
+        self.most = 1.0
+        if self.pressure is not None:  # the largest 95th percentile [Pa]: edges and closed toes have far more
+            finite = (frame.x for frame in self.shown if np.isfinite(frame.x).all())
+            self.most = max((float(np.percentile(self.pressure(x), 95.0)) for x in finite), default=0.0) or 1.0
         if self.rendering.samples is not None or slow:
             self.options = {} if self.rendering.samples is None else {"samples": self.rendering.samples}
         self.fabrics, self.persons = name_materials(self.recording.scene)
@@ -392,9 +395,3 @@ def require_pressure(recording: Recording) -> Pressures:
         problem, remedy = "the recording has no knit, which alone has a pressure", "leave --colour out"
         raise BadInput(problem, str(recording.path), field="--colour", value="pressure", remedy=remedy)
     return pressure
-
-
-def _most(pressure: Pressures, shown: list[Frame]) -> float:
-    """Return the largest 95th percentile of the pressure in these frames [Pa]: edges and closed toes have far more."""
-    percentiles = [np.percentile(pressure(frame.x), 95.0) for frame in shown if np.isfinite(frame.x).all()]
-    return float(max(percentiles, default=0.0)) or 1.0

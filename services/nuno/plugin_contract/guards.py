@@ -183,8 +183,10 @@ class Foreign:
         rotation, translation = self._call("its pose", pose, t)
         self._check(f"at {t:g} s its rotation", rotation, (number, 4), strided=True)
         self._check(f"at {t:g} s its translation", translation, (number, 3), strided=True)
+        length = np.linalg.norm(rotation, axis=1)
         with self._naming(f"at {t:g} s"):
-            check_turn(rotation)
+            if (bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT))).size:
+                raise ContractError(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
         return rotation, translation
 
     def _check(
@@ -291,13 +293,6 @@ def check_mover(mover: Mover) -> None:
         raise ContractError("pose is no function" if mover.joints else "joints are none")
     if (late := np.flatnonzero(mover.parents >= np.arange(len(mover.joints)))).size:
         raise ContractError(f"parents is {mover.parents[late[0]]} at row {late[0]}, which does not come before it")
-
-
-def check_turn(rotation: NDArray[Any]) -> None:
-    """Check that rotations (j, 4) are unit quaternions."""
-    length = np.linalg.norm(rotation, axis=1)
-    if (bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT))).size:
-        raise ContractError(f"rotation has length {length[bad[0]]:g} at row {bad[0]}, not 1")
 
 
 def check_memory(memory: Memory) -> None:

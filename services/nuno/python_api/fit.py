@@ -57,7 +57,8 @@ def map_fits(
     floor = float(mesh[0][:, 1].min())
     at = (landmarks or find_heights(*mesh)) | {name: floor + height for name, height in (heights or {}).items()}
     at = dict(sorted(at.items(), key=lambda one: -one[1]))
-    normals = _normals(mesh, search(moment.x))
+    closest = search(moment.x)
+    normals = unit_rows(np.einsum("nc,ncd->nd", closest.weights, vertex_normals(*mesh)[mesh[1][closest.face]]))
     fits = [fit for piece in read_pieces(recording) if (fit := _fit(piece, moment, mesh, at, normals))]
     if not fits:
         problem = "no garment of a measured fabric, whose triangles were cut"
@@ -116,12 +117,6 @@ def _fit(
     over = over / size if size > 0.0 else 0.0
     outwards = (force * normals[start:stop]).sum(axis=1)
     return replace(fit, pressed=replace(pressed, unbalanced=over), seams=seams), map_fit(start, x, membrane, outwards)
-
-
-def _normals(mesh: Mesh, closest: Any) -> Float:
-    """Return the normals (n, 3) of a body at its closest points."""
-    of_corners = vertex_normals(*mesh)[mesh[1][closest.face]]
-    return unit_rows(np.einsum("nc,ncd->nd", closest.weights, of_corners))
 
 
 def wearer(
@@ -244,17 +239,13 @@ def _beyond(faces: Int, above: Bool, crossed: Int) -> Bool:
     """
     whole = np.ones(len(faces), np.bool_)
     whole[crossed] = False
-    ends = np.concatenate([faces[whole][:, [0, 1]], faces[whole][:, [1, 2]], _same_side(faces[crossed], above)])
+    sides = faces[crossed][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    kept = sides[above[sides[:, 0]] == above[sides[:, 1]]]  # they do not cross the plane
+    ends = np.concatenate([faces[whole][:, [0, 1]], faces[whole][:, [1, 2]], kept])
     graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(above), len(above)))
     part = connected_components(graph, directed=False)[1]
     at = faces[crossed].reshape(-1)
     return np.isin(part, np.setdiff1d(part[at[above[at]]], part[at[~above[at]]]))
-
-
-def _same_side(faces: Int, above: Bool) -> Int:
-    """Return the ends (k, 2) of the sides of triangles that do not cross the plane."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return np.asarray(sides[above[sides[:, 0]] == above[sides[:, 1]]])
 
 
 ROUND = 0.5

@@ -122,20 +122,19 @@ def _run(scene: Loaded, options: Options, processes: bool, progress: bool | None
 
 @contextlib.contextmanager
 def _progress_bar(scene: Loaded, progress: bool | None) -> Iterator[Progress | None]:
-    """Yield the function that updates a progress bar, None without a bar."""
-    if not (_bar_is_visible() if progress is None else progress):
+    """Yield the function that updates a progress bar, None without one; by default it is on a terminal or in a
+    notebook.
+    """
+    if progress is None:
+        shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+        progress = sys.stderr.isatty() or "IPKernelApp" in getattr(shell, "config", {})
+    if not progress:
         yield None
         return
     from nuno.python_api.progress import ProgressLine
 
     with ProgressLine(scene.scene, bar=True) as line:
         yield line.update
-
-
-def _bar_is_visible() -> bool:
-    """Return whether a progress bar is visible: on a terminal, or in a notebook."""
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return sys.stderr.isatty() or "IPKernelApp" in getattr(shell, "config", {})
 
 
 def _recorded(scene: Loaded, options: Options, deployment: Deployment, progress: bool | None) -> Result:

@@ -199,12 +199,6 @@ def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Cho
     ]
 
 
-def _cloth_contact(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Chosen]) -> Chosen | None:
-    if not scene.moves or not isinstance(scene.cloth_contact, ClothContact):
-        return None
-    return chosen("nuno.cloth_contacts", scene.cloth_contact, ("cloth_contact",))
-
-
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:
     """Validate a scene's data and find its plugins. Raises BadInput."""
     check_compiler()
@@ -234,6 +228,7 @@ def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fi
             error_of_body = BadInput("there is no such body", value=body, remedy=remedy)
             raise located(error_of_body, file, lines, dotted(("operations", i, "body")))
     all_chosen += operations
+    meeting = scene.cloth_contact if scene.moves and isinstance(scene.cloth_contact, ClothContact) else None
     return Loaded(
         scene,
         data,
@@ -249,7 +244,7 @@ def _load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, fi
         ],
         forces=[chosen("nuno.forces", f, ("forces", i)) for i, f in enumerate(scene.forces)],
         operations=operations,
-        cloth_contact=_cloth_contact(scene, chosen),
+        cloth_contact=chosen("nuno.cloth_contacts", meeting, ("cloth_contact",)) if meeting is not None else None,
         chosen=all_chosen,
         contacts=_contacts(scene, chosen),
         dye=_chosen_dye(scene.dye, chosen) if scene.dye is not None else None,

@@ -96,7 +96,9 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
     errors = [item for item in errors if not _is_consequence(*item, errors)]
     place, first = min(errors, key=lambda item: (item[1]["type"] == "missing", len(item[0])))
     if first["type"] == "extra_forbidden":
-        fields = [*_fields_at(model, first["loc"][:-1]), *(others if len(place) == 1 else ())]
+        *_, here = model, *(annotation for _, _, annotation in _walk(model, first["loc"][:-1]))
+        own = [name for m in models_in(here)[:1] for name in m.model_fields]
+        fields = [*own, *(others if len(place) == 1 else ())]
         words: Words = NO_FIELD, None, None, nearest(str(place[-1]), fields)
     else:
         words = _merged([e for where, e in errors if where == place])
@@ -140,7 +142,8 @@ def _place(loc: Path, data: Any, kind: str) -> Path:
 
 def _merged(errors: Sequence[Any]) -> Words:
     """Merge all errors about one value into one explanation."""
-    names = [name for e in errors if e["type"] == "literal_error" for name in _expected(e)]
+    expected = [str(e["ctx"]["expected"]) for e in errors if e["type"] == "literal_error"]
+    names = [name for text in expected for name in re.findall(r"'([^']*)'", text) or [text]]
     others = [e for e in errors if e["type"] != "literal_error"]
     value = errors[0].get("input")
     if not others:
@@ -154,11 +157,6 @@ def _merged(errors: Sequence[Any]) -> Words:
         instead = " or ".join(names)
         problem, remedy = (problem, f"{remedy}; or write {instead}") if remedy else (f"{problem}, or {instead}", None)
     return problem, value, limit, remedy
-
-
-def _expected(error: Any) -> list[str]:
-    text = str(error["ctx"]["expected"])
-    return re.findall(r"'([^']*)'", text) or [text]
 
 
 def _words(error: Any) -> Words:
@@ -197,12 +195,6 @@ def _walk(model: Any, loc: Path) -> Iterator[tuple[str | int, FieldInfo | None, 
             field = next((m.model_fields[part] for m in models_in(here) if part in m.model_fields), None)
             here = field.annotation if field else _tagged(here, part) or here
         yield part, field, here
-
-
-def _fields_at(model: Any, loc: Path) -> list[str]:
-    """Return the field names of the model at a location in `model`."""
-    *_, here = model, *(annotation for _, _, annotation in _walk(model, loc))
-    return [name for m in models_in(here)[:1] for name in m.model_fields]
 
 
 def _example(model: Any, loc: Path) -> str | None:

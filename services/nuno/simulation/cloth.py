@@ -341,7 +341,8 @@ def build_system(
     """Build the system of the fabric and all forces on it; poses are those of t = 0. Raises BadInput."""
     gravity = np.array(loaded.scene.gravity)
     carried = tuple(bind(loaded, fabric, pieces, geometry, poses))
-    if not carried and may_attach(loaded):  # steps are compiled for later attachments
+    attaching = any(hasattr(one.plugin, "apply_beside") for one in loaded.operations)
+    if not carried and attaching:  # steps are compiled for later attachments
         empty = np.zeros(0, np.int32)
         carried = (Carried(empty, np.zeros((0, 3)), empty),)
     terms = []
@@ -371,11 +372,6 @@ def build_scene(loaded: Loaded, threads: int) -> tuple[System, Bodies | None]:
     bodies = build_bodies(loaded) if loaded.colliders else None
     geometry, poses = (bodies.geometry, bodies.poses(0.0)) if bodies else (None, None)
     return build_system(loaded, fabric, pieces, geometry, poses, threads), bodies
-
-
-def may_attach(loaded: Loaded) -> bool:
-    """Return whether an operation may attach cloth to a body during the run."""
-    return any(hasattr(one.plugin, "apply_beside") for one in loaded.operations)
 
 
 def group_contacts(loaded: Loaded) -> list[tuple[Chosen, list[int]]]:

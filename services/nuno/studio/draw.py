@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
@@ -46,15 +45,6 @@ def as_operations(lines: Lines, settings: object) -> list[dict[str, Any]]:
         {"plugin": OPERATION, "object": name, **({} if "width" in rows[0] else {"smoothing": smoothing}), **keep,
          "lines": rows} for name, rows in lines.items()
     ]  # fmt: skip
-
-
-def as_items(lines: Lines, settings: object) -> list[str]:
-    """Return the items to add to a run, one for each object. Raises BadInput."""
-    items = []
-    for operation in as_operations(lines, settings):
-        plugin = operation.pop("plugin")
-        items.append(f"{plugin}: {json.dumps(operation)}")
-    return items
 
 
 class Trial:

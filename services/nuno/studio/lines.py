@@ -92,9 +92,10 @@ class Drawing:
         refused: dict[str, Any] = {}
         applied, numbers = list[int](), list[tuple[str, int]]()
         for name, which in pieces_of(strokes, sight).items():
-            (item,) = draw.as_items(by_object([strokes[i] for i in which], sight), request.get("settings"))
+            own = by_object([strokes[i] for i in which], sight)
+            (operation,) = draw.as_operations(own, request.get("settings"))
             try:
-                answer = run.control("add", item=item)
+                answer = run.control("add", item=f"{operation.pop('plugin')}: {json.dumps(operation)}")
             except BadInput as error:
                 refused = {"ok": False} | describe(name_line(error, strokes, which, sight))
                 break

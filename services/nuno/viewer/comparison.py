@@ -21,7 +21,6 @@ from nuno.recording.reader import Recording
 from nuno.recording.recorded import Recorded
 from nuno.viewer import layout
 from nuno.viewer.bridge import Bridge
-from nuno.viewer.dyed import DyedCloth
 from nuno.viewer.fields import QUANTITIES, Scale, require_field
 from nuno.viewer.file import RrdFile, measure_scales, recorded_painter, subject_of
 from nuno.viewer.stream import APPLICATION, Subject
@@ -183,19 +182,14 @@ def _log_difference(first: Compared, one: Compared) -> None:
 def _arrange(file: RrdFile, compared: Sequence[Compared], over: bool) -> None:
     """Place the scenes, and send the blueprint of all."""
     if _kind(compared[0].recording) == "dye":
-        blueprint = _arrange_dyed([(one.name, one.bridge.dyed) for one in compared])
+        cloths = [cloth for one in compared if (cloth := one.bridge.dyed) is not None]
+        dyes = list(dict.fromkeys(name for cloth in cloths for name in cloth.names))
+        shape = max(cloth.painter.shape[0] for cloth in cloths), max(cloth.painter.shape[1] for cloth in cloths)
+        duration, names = max(cloth.duration for cloth in cloths), [one.name for one in compared]
+        blueprint = layout.arrange_dyed(dyes, shape, duration, "playing", names)
     else:
         blueprint = _arrange_cloth(file, compared, over)
     file.recording.send_blueprint(blueprint, make_active=True, make_default=True)
-
-
-def _arrange_dyed(compared: Sequence[tuple[str, DyedCloth | None]]) -> Any:
-    """Return the blueprint of dyed cloths by their names."""
-    cloths = [cloth for _, cloth in compared if cloth is not None]
-    dyes = list(dict.fromkeys(name for cloth in cloths for name in cloth.names))
-    shape = max(cloth.painter.shape[0] for cloth in cloths), max(cloth.painter.shape[1] for cloth in cloths)
-    duration = max(cloth.duration for cloth in cloths)
-    return layout.arrange_dyed(dyes, shape, duration, "playing", [name for name, _ in compared])
 
 
 def _arrange_cloth(file: RrdFile, compared: Sequence[Compared], over: bool) -> Any:
