@@ -188,7 +188,8 @@ def colour_of(amount: Float, colours: DyeColour, v_max: float = 1.0) -> Float:
     """Return the linear light (..., 3) of amounts (...), interpolated in HSV, the short way around the circle of hues.
     A grey has no hue and gets its neighbour's, so that colour fades without passing through others.
     """
-    knots = np.array([_to_hsv(text) for text in (colours.light, colours.mid, colours.dark)])
+    srgb = [bytes.fromhex(text[1:]) for text in (colours.light, colours.mid, colours.dark)]
+    knots = np.array([colorsys.rgb_to_hsv(*(channel / 255.0 for channel in rgb)) for rgb in srgb])
     grey = knots[:, 1] == 0.0
     if grey[1]:
         knots[1, 0] = knots[2, 0] if grey[0] else knots[0, 0]
@@ -215,10 +216,6 @@ def mix(amounts: Float, dyes: Sequence[DyeColour], v_max: float = 1.0, ground: F
         # In a channel where undyed cloth is black, dye changes nothing.
         light *= np.divide(colour_of(amount, dye, v_max), undyed, out=np.ones_like(light), where=undyed > 0.0)
     return np.minimum(light, 1.0)
-
-
-def _to_hsv(text: str) -> tuple[float, float, float]:
-    return colorsys.rgb_to_hsv(*(channel / 255.0 for channel in bytes.fromhex(text[1:])))
 
 
 def _from_hsv(h: Float, s: Float, v: Float) -> Float:

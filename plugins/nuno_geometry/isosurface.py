@@ -39,7 +39,8 @@ def find_isosurface(field: Field, low: Float, high: Float, spacing: float) -> tu
     x, quads = _net(_without_pinches(value))
     x = low + spacing * x
     for turn in range(ROUNDS):
-        gradient = find_gradient(field, x)
+        differences = [(field(*(x + step).T) - field(*(x - step).T)) / (2.0 * STEP) for step in STEP * np.eye(3)]
+        gradient = np.stack(differences, axis=1)
         if turn < ROUNDS - 2:
             x = _even(x, quads, gradient)
         x -= (field(*x.T) / (gradient * gradient).sum(axis=1))[:, None] * gradient
@@ -52,12 +53,6 @@ def net_of(value: Float, low: Float, spacing: float) -> tuple[Float, Int]:
     """
     x, quads = _net(_without_pinches(value))
     return low + spacing * x, _cut(x, quads)
-
-
-def find_gradient(field: Field, x: Float) -> Float:
-    """Return the gradient (n, 3) of a field at places x (n, 3) [m], by central differences."""
-    steps = STEP * np.eye(3)
-    return np.stack([(field(*(x + step).T) - field(*(x - step).T)) / (2.0 * STEP) for step in steps], axis=1)
 
 
 def _without_pinches(value: Float) -> Float:

@@ -167,12 +167,13 @@ def build_tree(vertices: Float, faces: Int) -> Tree:
     place[order] = np.arange(len(order), dtype=np.int32)
     boxes, child = stack_boxes(corners[filled], ROUNDING * float(np.abs(x[faces]).max(initial=0.0)))
     numbers, pairs = edge_numbers(faces)
-    parent, leaf_parent = find_parents(child, leaves)
+    inner = int((child >= 0).sum())  # nodes whose children are leaves come last
+    parent = np.searchsorted(child[:inner], np.arange(len(child)), side="right") - 1
     return Tree(
         boxes=boxes,
         child=child,
-        parent=parent,
-        leaf_parent=leaf_parent,
+        parent=parent.astype(np.int64),
+        leaf_parent=inner + np.arange(leaves) // WIDTH,
         corners=in_eights(np.concatenate([a, b - a, c - a], axis=1), 0.0),
         face=filled.astype(np.int32),
         place=place,
@@ -202,13 +203,6 @@ def stack_boxes(corners: Float, margin: float) -> tuple[Float, NDArray[np.int64]
     missing = np.isnan(boxes)
     boxes[missing] = np.inf
     return boxes, np.concatenate(child).astype(np.int64)
-
-
-def find_parents(child: NDArray[np.int64], leaves: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the parents (N,) of nodes with the children of `stack_boxes`, and (L,) of so many leaves."""
-    inner = int((child >= 0).sum())  # nodes whose children are leaves come last
-    of_nodes = np.searchsorted(child[:inner], np.arange(len(child)), side="right") - 1
-    return of_nodes.astype(np.int64), inner + np.arange(leaves) // WIDTH
 
 
 def _enclose(rows: Float) -> Float:

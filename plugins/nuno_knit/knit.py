@@ -241,7 +241,11 @@ class Knit:
         used = [resolve(choice) for choice in config.yarns]
         pairs, springs, yarns = net.pairs(), *knit_yarns(net, used, spacing)
         if config.frequency is not None:
-            mass = stiffness_about(net.points, pairs, springs, yarns) / config.frequency**2
+            # The sum of k (1 + 2 mu) over a point's links, twice, over its mass bounds its squared frequency.
+            mu = np.zeros(springs.number)
+            mu[yarns.links] = np.repeat(yarns.mu, np.diff(yarns.ptr))
+            stiffness = springs.per_spring(springs.stiffest().k) * (1.0 + 2.0 * mu)
+            mass = add_to_ends(net.points, pairs, stiffness) / config.frequency**2
         elif config.mass is not None:
             mass = np.full(net.points, config.mass)
         else:
@@ -259,15 +263,6 @@ class Knit:
             yarns=yarns,
             cells=net.cells(),
         )
-
-
-def stiffness_about(points: int, pairs: Int, springs: Springs, yarns: Yarns) -> Float:
-    """Return sums (points,) of k (1 + 2 mu) over each point's links (s, 2) [N/m]: twice this over its mass bounds a
-    point's squared frequency.
-    """
-    mu = np.zeros(springs.number)
-    mu[yarns.links] = np.repeat(yarns.mu, np.diff(yarns.ptr))
-    return add_to_ends(points, pairs, springs.per_spring(springs.stiffest().k) * (1.0 + 2.0 * mu))
 
 
 def add_to_ends(points: int, pairs: Int, value: Float) -> Float:

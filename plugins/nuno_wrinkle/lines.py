@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -183,22 +182,16 @@ def read_lines(lines: Iterable[Line], files: Files) -> tuple[Line, ...]:
             result.append(line)
             continue
         path = files.resolve(line.file)
-        rows = _read_strokes(path)
+        mesh = read_as(path, "OBJ", read_obj, LARGEST_FILE)
+        if (most := max(map(len, mesh.lines), default=0)) > MOST_POINTS:
+            raise BadInput("a line has too many points", str(path), value=most, limit=f"{MOST_POINTS} points")
+        rows = (tuple(map(tuple, mesh.points[stroke].tolist())) for stroke in mesh.lines)
         result += [Line(points=points, height=line.height, width=line.width, closed=line.closed) for points in rows]
-        if not rows:
+        if not mesh.lines:
             raise BadInput(
                 "the file holds no lines", str(path), field=f"lines[{i}].file", remedy="an element is written: l 1 2 3"
             )
     return tuple(result)
-
-
-def _read_strokes(path: Path) -> list[tuple[tuple[float, float, float], ...]]:
-    """Return the points of each line of an OBJ file. Raises BadInput."""
-    mesh = read_as(path, "OBJ", read_obj, LARGEST_FILE)
-    most = max(map(len, mesh.lines), default=0)
-    if most > MOST_POINTS:
-        raise BadInput("a line has too many points", str(path), value=most, limit=f"{MOST_POINTS} points")
-    return [tuple(map(tuple, mesh.points[stroke].tolist())) for stroke in mesh.lines]
 
 
 def follow_lines(fabric: Fabric, x: Float, across: Int, lines: tuple[Line, ...], tolerance: float) -> Crossed:

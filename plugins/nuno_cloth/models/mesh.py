@@ -142,15 +142,9 @@ class Mesh(OfTriangles):
         elements = build_elements(material, x, faces, edges, warp, tension=config.tension, held=held)
         more = lay_out(path, len(x), faces, uv, config.texture is not None)
         more |= {"texture": find_texture(config.texture, files), "merged": merged}
-        origin = _bending_without_springs(material, edges)
+        # Without inner edges no spring shows the bending stiffness.
+        origin = {"k_bend": material.bending[0]} if isinstance(material, HandSet) and not len(edges.inner) else {}
         return elements.fabric(self.name, x, held, config.velocity, origin=origin, **more)
-
-
-def _bending_without_springs(material: Material | HandSet, edges: Edges) -> dict[str, float]:
-    """Return the bending stiffness of a mesh without inner edges, whose springs cannot show it."""
-    if isinstance(material, Material) or len(edges.inner):
-        return {}
-    return {"k_bend": material.bending[0]}
 
 
 class ClothMesh(NamedTuple):

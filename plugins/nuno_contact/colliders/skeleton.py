@@ -123,7 +123,10 @@ def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[
     led: list[str] = []
     before, after = np.zeros(len(parts)), np.zeros(len(parts))
     for j, p in enumerate(mover.parents):
-        led.append("" if p < 0 or size[j] == 0.0 else bone_part(parts[p], parts[j]))
+        part = parts[p]
+        if part in ("pelvis", "back", "neck") and parts[j] in ("arm", "shoulder"):
+            part = "shoulder"
+        led.append("" if p < 0 or size[j] == 0.0 else part)
         if led[j] and led[j] == led[p]:
             before[j] = before[p] + size[p]
     for j in range(len(parts) - 1, 0, -1):
@@ -137,13 +140,6 @@ def find_bones(mover: Mover, named: Collection[str], half_width: float) -> list[
             ends = j not in inner or (led[j] == "back" and after[j] == 0.0)
             bones.append(Bone(int(p), led[j], np.zeros(3), mover.offsets[j], before[j], after[j], ends))
     return bones
-
-
-def bone_part(parent: str, child: str) -> str:
-    """Return the part of a bone between joints of the parts `parent` and `child`."""
-    if parent in ("pelvis", "back", "neck") and child in ("arm", "shoulder"):
-        return "shoulder"
-    return parent
 
 
 def cross_pelvis(mover: Mover, parts: list[str], hips: list[int], half_width: float) -> Bone:

@@ -277,7 +277,9 @@ class Builder:
             whole |= cells.level >= DEEPEST
             if not self.exact.closed:
                 whole |= are_torn(lattice[:, :, 0], size) & (size <= TORN * self.tolerance)
-            done.append(_leaves(piece, lattice, whole))
+            level = np.full(int(whole.sum()), piece.level, np.int64)
+            own = piece.at[whole], piece.slot[whole], piece.near[whole], piece.corners[whole]
+            done.append(Leaves(level, *own, lattice[whole, :, 0]))
             parts.append(self.cut(piece, lattice, ~whole))
             self.leaves += int(whole.sum())
             if self.leaves > self.most:
@@ -328,13 +330,6 @@ def too_large(leaves: int, most: int, tolerance: float) -> BadInput:
     )  # fmt: skip
 
 
-def _leaves(cells: Cells, lattice: Single, chosen: Any) -> Leaves:
-    return Leaves(
-        np.full(int(chosen.sum()), cells.level, np.int64), cells.at[chosen], cells.slot[chosen], cells.near[chosen],
-        cells.corners[chosen], lattice[chosen, :, 0],
-    )  # fmt: skip
-
-
 def are_torn(lattice: Single, size: Any) -> NDArray[np.bool_]:
     """Return whether distances in lattices (m, 27) of cells of edge `size` [m] differ by more than their points'
     distances do: across a hole whose two sides are equally near.
@@ -366,8 +361,13 @@ def build_field(
     """
     available = threads_available()[0]
     numba.set_num_threads(max(1, min(threads or available, available)))
+    band = band or 5.0 * tolerance
+    low, high = x.min(axis=0) - band, x.max(axis=0) + band
+    size = float((high - low).max()) / WHOLE
+    shape = np.maximum(1, np.ceil((high - low) / size - 1e-9)).astype(np.int32)
+    low = 0.5 * (low + high) - 0.5 * size * shape
     exact = Exact(build_tree(x, faces), closed)
-    builder = start_builder(exact, x, tolerance, band or 5.0 * tolerance, most_bytes // BYTES_PER_LEAF)
+    builder = Builder(exact, low, size, shape, tolerance, band, most_bytes // BYTES_PER_LEAF)
     done: list[Leaves] = []
     cells = whole_cells(builder)
     while 0 < len(cells.at) < PROBE:
@@ -399,15 +399,6 @@ def foresee(builder: Builder, cells: Cells) -> None:
         probe.refine(cells.pick(slice(None, None, EACH)))
     except BadInput:
         raise too_large(builder.leaves + EACH * probe.leaves, builder.most, builder.tolerance) from None
-
-
-def start_builder(exact: Exact, x: Float, tolerance: float, band: float, most: int) -> Builder:
-    """Return a box of whole cells round the mesh and the band about it."""
-    low, high = x.min(axis=0) - band, x.max(axis=0) + band
-    size = float((high - low).max()) / WHOLE
-    shape = np.maximum(1, np.ceil((high - low) / size - 1e-9)).astype(np.int32)
-    low = 0.5 * (low + high) - 0.5 * size * shape
-    return Builder(exact, low, size, shape, tolerance, band, most)
 
 
 def whole_cells(builder: Builder) -> Cells:

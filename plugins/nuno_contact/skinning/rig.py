@@ -61,7 +61,9 @@ def _read(file: bytes) -> Rig | None:
     if not carriers:
         return None
     above = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
-    joints = _in_order(carriers, above)
+    joints: list[int] = []  # in the file's order, but parents before their children
+    for joint in carriers:
+        joints += [at for at in reversed(way_up(joint, above)) if at in carriers and at not in joints]
     number = np.full(len(nodes), -1)
     number[joints] = np.arange(len(joints))
     weights = []
@@ -90,14 +92,6 @@ def _carrier(node: int, joints: list[int], above: dict[int, int], nodes: Any) ->
         if at in joints:
             return at
     raise ValueError(f"no joint carries the mesh of {nodes[node].get('name', f'node {node}')!r}")
-
-
-def _in_order(joints: list[int], above: dict[int, int]) -> list[int]:
-    """Return each once, in the file's order, but parents before their children."""
-    found: list[int] = []
-    for joint in joints:
-        found += [at for at in reversed(way_up(joint, above)) if at in joints and at not in found]
-    return found
 
 
 def fit_rig(rig: Rig, roles: dict[str, int]) -> tuple[Figure, dict[str, int], Int]:

@@ -50,18 +50,12 @@ def find_weights(x: Float, faces: Int, ends: Float, bone: Int) -> tuple[Int, Flo
     return keep_largest(heat)
 
 
-def to_bones(x: Float, ends: Float) -> tuple[Float, Float]:
-    """Return the distance (v, b) [m] of points to bones, and the nearest points (v, b, 3) of these."""
-    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
-    size = np.maximum(dot(along, along), 1e-30)
-    share = np.clip(dot(x[:, None] - start, along) / size, 0.0, 1.0)
-    near = start + share[..., None] * along
-    return norm(x[:, None] - near), near
-
-
 def see_bones(x: Float, faces: Int, ends: Float) -> tuple[Int, Float]:
     """Return the nearest visible bone (v,) of each vertex, and its distance (v,) [m]; the nearest if it sees none."""
-    distance, near = to_bones(x, ends)
+    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    part = np.clip(dot(x[:, None] - start, along) / np.maximum(dot(along, along), 1e-30), 0.0, 1.0)
+    near = start + part[..., None] * along
+    distance = norm(x[:, None] - near)
     order = np.argsort(distance, axis=1, kind="stable")
     found, tree = order[:, 0].copy(), build_tree(x, faces)
     waiting = np.arange(len(x))

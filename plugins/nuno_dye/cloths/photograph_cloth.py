@@ -35,8 +35,6 @@ FORMATS = ["PNG", "JPEG"]
 CLEAN_MOST = 31
 NEAR = 0.02
 """Only noise distinguishes colours nearer than this."""
-TURN, QUARTER = 0x0112, 5
-"""Exif's orientation tag, and its least value that turns by a quarter."""
 
 
 class Masks(Config):
@@ -82,13 +80,6 @@ def read_photograph(path: Path) -> NDArray[np.uint8]:
     raise BadInput("too many pixels", file=str(path), value=number, limit=f"{MOST_PIXELS}", remedy=remedy)
 
 
-def read_size(path: Path) -> tuple[int, int]:
-    """Read the upright size (h, w) of a photograph from its header. Raises BadInput."""
-    with _open_photograph(path) as image:
-        turned = image.getexif().get(TURN, 1) >= QUARTER
-        return (image.width, image.height) if turned else (image.height, image.width)
-
-
 @contextmanager
 def _open_photograph(path: Path) -> Iterator[Any]:
     """Open a photograph. Raises BadInput for other files, and for any error of the decoder."""
@@ -99,13 +90,6 @@ def _open_photograph(path: Path) -> Iterator[Any]:
             yield image
     except Exception as error:  # a decoder may raise anything on a broken file
         raise BadInput(f"cannot be read as {' or '.join(FORMATS)}: {error}", file=str(path)) from None
-
-
-def read_masks(masks: Masks, shape: tuple[int, int], files: Files) -> Bool:
-    """Return where (h, w) a photograph of `shape` shows warp; elsewhere it shows weft. Raises BadInput."""
-    paths = {name: files.resolve(getattr(masks, name)) for name in ("warp", "weft")}
-    masks_read = {name: read_image(path, shape, of=("photograph's", "pixels")) >= 0.5 for name, path in paths.items()}
-    return assign_rest(masks_read["warp"], masks_read["weft"], {name: str(path) for name, path in paths.items()})
 
 
 def assign_rest(warp: Bool, weft: Bool, files: dict[str, str]) -> Bool:
@@ -228,8 +212,8 @@ class PhotographCloth(Cloth):
     Config: ClassVar[type[BaseModel]] = PhotographConfig
 
     def count(self, config: PhotographConfig, files: Files) -> int:
-        height, width = read_size(files.resolve(config.file))
-        return 2 * (height // config.pixels) * (width // config.pixels)
+        with _open_photograph(files.resolve(config.file)) as image:  # reads its header alone
+            return int(2 * (image.height // config.pixels) * (image.width // config.pixels))
 
     def build(self, config: PhotographConfig, files: Files, seed: int, dyes: Sequence[str]) -> tuple[Cells, DyeState]:
         """Build the cloth. Raises BadInput for a photograph, masks or colours that do not fit each other."""
@@ -257,7 +241,10 @@ class PhotographCloth(Cloth):
     def warp(self, config: PhotographConfig, light: NDArray[np.uint8], files: Files) -> NDArray[np.bool_]:
         """Return where (h, w) the photograph shows warp."""
         if config.masks is not None:
-            return read_masks(config.masks, light.shape[:2], files)
+            paths = {name: files.resolve(getattr(config.masks, name)) for name in ("warp", "weft")}
+            of = ("photograph's", "pixels")
+            shown = {name: read_image(path, light.shape[:2], of=of) >= 0.5 for name, path in paths.items()}
+            return assign_rest(shown["warp"], shown["weft"], {name: str(path) for name, path in paths.items()})
         assert config.colours is not None
         try:
             return split_by_colour(config.colours, light)

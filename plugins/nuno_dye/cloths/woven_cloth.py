@@ -261,7 +261,9 @@ def find_share(item: Ikat, cells: Cells, files: Files, stream: np.random.Generat
     pattern's value at its middle over its whole width, like threads that are dyed through.
     """
     layer = 1 if item.yarns == "warp" else 0
-    yarn = _yarns(cells, layer)
+    if cells.yarns is None:
+        raise BadInput("the cloth does not tell its yarns apart", field="ikat")
+    yarn = cells.yarns[layer]
     place = np.arange(len(yarn)) + 0.5
     middle = np.bincount(yarn, place) / np.maximum(np.bincount(yarn), 1)
     off = stream.uniform(-item.shift, item.shift, len(middle))
@@ -285,13 +287,6 @@ def _draw(pattern: Bands | Diamonds, along: Float, across: Float) -> Float:
         2.0 * np.abs(v / side - np.round(v / side)) for v, side in ((along, pattern.along), (across, pattern.across))
     )
     return np.asarray(p + q <= 1.0, np.float64)
-
-
-def _yarns(cells: Cells, layer: int) -> Int:
-    """Return the yarn of each row of weft, or column of warp. Raises BadInput for a cloth without known yarns."""
-    if cells.yarns is None:
-        raise BadInput("the cloth does not tell its yarns apart", field="ikat")
-    return cells.yarns[layer]
 
 
 def _shift(lines: Float, off: Float) -> Float:

@@ -119,16 +119,11 @@ def derive(system: DyeSystem) -> Derived:
     return Derived(system, faces, float(sums.max()), room, floors)
 
 
-def same_cells(one: DyeSystem, other: DyeSystem) -> bool:
-    """Return whether both have the same cells (as objects), dyes and threads, so that a solver's data hold for both."""
-    return one.cells is other.cells and one.dyes == other.dyes and one.threads == other.threads
-
-
 def renew_work(memory: Memory, system: DyeSystem) -> Any:
     """Return a solver's data, renewed if the system has other cells, dyes, threads or supplies than before."""
     work: Work = memory.work  # type: ignore[assignment]
     before = work.derived.system
-    if not same_cells(system, before):
+    if system.cells is not before.cells or (system.dyes, system.threads) != (before.dyes, before.threads):
         memory.work = work.rebuild(system)
     elif system is not before:
         if system.supply is not before.supply:

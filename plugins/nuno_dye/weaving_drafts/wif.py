@@ -335,7 +335,10 @@ class Draft:
 def read_wif(path: Path) -> Draft:
     """Read a draft. Raises BadInput, with line, section and key, for a file that does not define a weave."""
     sections = Sections(path)
-    ends, picks = count_yarns(sections)
+    # More than a drawdown can have are refused before allocation.
+    own = [sections.need(name, "says how many yarns there are").need("THREADS") for name in ("WARP", "WEFT")]
+    ends = own[0].whole(1, MOST_YARNS, "a number of yarns")
+    picks = own[1].whole(1, min(MOST_YARNS, MOST_CROSSINGS // ends), f"a number of yarns across {ends} ends")
     weaving = sections.need("WEAVING", "says how many shafts there are")
     shafts = weaving.need("SHAFTS").whole(1, MOST_YARNS, "a number of shafts")
     if shafts * max(ends, picks) > MOST_CROSSINGS:
@@ -363,14 +366,6 @@ def find_left_out(sections: Sections, ends: int, picks: int, loom: Loom) -> tupl
         f"[{name}] has lines of {what}s that there are not ({number} are stated): {listed(keys)}"
         for name, number, what in found if (keys := sections.get(name).beyond(number))
     )  # fmt: skip
-
-
-def count_yarns(sections: Sections) -> tuple[int, int]:
-    """Return the numbers of ends and picks. Raises BadInput for more than a drawdown can have, before allocation."""
-    ends, picks = (sections.need(name, "says how many yarns there are").need("THREADS") for name in ("WARP", "WEFT"))
-    number = ends.whole(1, MOST_YARNS, "a number of yarns")
-    most = min(MOST_YARNS, MOST_CROSSINGS // number)
-    return number, picks.whole(1, most, f"a number of yarns across {number} ends")
 
 
 def read_lifts(sections: Sections, picks: int, shafts: int) -> tuple[Bool, Bool | None]:

@@ -393,12 +393,7 @@ def largest_force(st: Stage, packed: Packed) -> float:
     """Return the largest single force [N] at st.x: of a spring, a weight, or the resultant on a vertex."""
     weight = float(np.linalg.norm(packed.gravity)) * float(st.mass.max(initial=0.0))
     inertia = float(np.sqrt(((st.a * st.mass) ** 2).sum(axis=0)).max(initial=0.0))
-    return max(weight, inertia, largest_tension(st.x, packed))
-
-
-def largest_tension(x: Float, packed: Packed) -> float:
-    """Return the largest force of a spring [N], of either sign."""
-    return float(max(call_each(packed, "tension", x), default=0.0))
+    return float(max(weight, inertia, *call_each(packed, "tension", st.x)))
 
 
 def turning_work(before: Float, x: Float, d: Float, packed: Packed) -> float:

@@ -223,7 +223,10 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         """Save machine code; a kernel that cannot be saved is compiled again by the next run."""
         if not self._impl.check_cachable(data):
             return
-        content, path = dumps((called_by_address(data), self._impl.reduce(data))), self._paths[sig]
+        # What it calls by address, itself or by its inlined callees.
+        names = (one.name for one in data.library._final_module.functions)
+        called = {name: BY_SYMBOL[name][0] for name in names if name.startswith(PREFIX)}
+        content, path = dumps((called, self._impl.reduce(data))), self._paths[sig]
         partial = path.with_suffix(f".{os.getpid()}")  # one thread compiles at a time
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -360,12 +363,6 @@ class ByAddress:
 
 _NOWHERE = 1
 """address of what is never called"""
-
-
-def called_by_address(compiled: Any) -> dict[str, Place]:
-    """Return what a function that was just compiled calls by address, itself or by its inlined callees."""
-    functions = compiled.library._final_module.functions
-    return {one.name: BY_SYMBOL[one.name][0] for one in functions if one.name.startswith(PREFIX)}
 
 
 def load_called(called: dict[str, Place]) -> bool:
