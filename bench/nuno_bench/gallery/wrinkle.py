@@ -279,14 +279,8 @@ def _judge_turning(measured: Measures) -> Finding:
 
 def _judge_shirt(measured: Measures) -> Finding:
     shirt = measured[SHIRT]
-    return _judge_shares(
-        shirt[WIDTH.format(1, STAGES[3])] / shirt[WIDTH.format(1, STAGES[1])],
-        *(shirt[KEPT.format(i)] for i in (1, 2)),
-    )
-
-
-def _judge_shares(width: float, left: float, right: float) -> Finding:
-    """By shares at the end of the left line's width and of both lines' heights when drawn."""
+    width = shirt[WIDTH.format(1, STAGES[3])] / shirt[WIDTH.format(1, STAGES[1])]
+    left, right = (shirt[KEPT.format(i)] for i in (1, 2))
     value = f"left: {width:.2f} of its width, {left:.2f} of its height; right: {right:.2f} of its height"
     return Finding(value, width <= THIN and left > GONE >= right, ADDED)
 

@@ -127,12 +127,6 @@ def errors_over_frames(run: Series, reference: Series, scales: Mapping[str, floa
     return errors
 
 
-def ran_away(run: Series, reference: Series, size: float) -> float | None:
-    """Return the time at which a run was first RAN_AWAY times `size` from the reference [s], or None."""
-    frames = np.flatnonzero(~(_distances(run, reference) <= RAN_AWAY * size))
-    return float(run.t[frames[0]]) if frames.size else None
-
-
 def _distances(run: Series, reference: Series) -> Float:
     """Return the root mean square distance at each of the run's frames, shape (f,)."""
     return np.asarray(np.sqrt(((run.x - reference.x[: len(run.t)]) ** 2).sum(axis=2).mean(axis=1)))
@@ -272,10 +266,11 @@ class Runner:
         if run.status != "ok":
             return run.status, run.message
         leading = self.reference.run.series.leading
-        lost = ran_away(run.series, self.reference.run.series, self.scales[leading])
-        if lost is None:
+        near = _distances(run.series, self.reference.run.series) <= RAN_AWAY * self.scales[leading]
+        if near.all():
             return DONE, ""
-        return "ran away", f"at {lost:.3g} s its {leading} are {RAN_AWAY:g} times their scale from the reference"
+        lost = f"{run.series.t[near.argmin()]:.3g} s"
+        return "ran away", f"at {lost} its {leading} are {RAN_AWAY:g} times their scale from the reference"
 
 
 def start_sweep(problem: AnyProblem, solvers: list[Solver], say: Callable[[str], None]) -> Sweep:
