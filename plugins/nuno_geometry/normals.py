@@ -12,7 +12,9 @@ import math
 
 import numpy as np
 
+from nuno_geometry.poses import blend, row_at
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, over
 from nuno_schemas.fabric import Float, Int
 from nuno_schemas.vectors import unit_rows
 
@@ -54,11 +56,7 @@ def vertex_normals(x: Float, faces: Int) -> Float:
 def blend_normals(normals: Float, faces: Int, face: Int, weights: Float, out: Float) -> None:
     """Write unit normals (m, 3) at barycentric weights (m, 3) in triangles face (m,), from vertices' (n, 3)."""
     for i in range(face.shape[0]):
-        a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
-        size = 0.0
-        for k in range(3):
-            out[i, k] = weights[i, 0] * normals[a, k] + weights[i, 1] * normals[b, k] + weights[i, 2] * normals[c, k]
-            size += out[i, k] * out[i, k]
-        if size > 0.0:
-            for k in range(3):
-                out[i, k] /= math.sqrt(size)
+        corners = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
+        n = blend(row_at(weights, i), normals, corners)
+        size = math.sqrt(dot(n, n))
+        out[i, 0], out[i, 1], out[i, 2] = over(n, size) if size > 0.0 else n

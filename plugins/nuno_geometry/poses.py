@@ -9,11 +9,12 @@ the velocity shift/T + (spin/T) x (p - o(s)).
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from nuno_kernels import forced_inline, kernel
+from nuno_kernels.lanes import cross, dot, plus, times
 from nuno_schemas.bodies import Poses, rotation_matrices
 from nuno_schemas.fabric import Float
 
@@ -31,6 +32,13 @@ def row_at(x: Float, i: Index) -> Vector:
 def vector(a: Float) -> Vector:
     """Return an array (3,) as a vector."""
     return a[0], a[1], a[2]
+
+
+@kernel
+def blend(weights: Any, rows: Float, corners: Any) -> Vector:
+    """Return the mean of rows of (n, 3), those of three corners, by weights."""
+    first, second = times(weights[0], row_at(rows, corners[0])), times(weights[1], row_at(rows, corners[1]))
+    return plus(plus(first, second), times(weights[2], row_at(rows, corners[2])))
 
 
 class Frames(Protocol):
@@ -79,16 +87,15 @@ def write_interval(moved: Frames, poses0: Poses, poses1: Poses) -> None:
 @kernel
 def pose_frame(s: float, f: int, rotation0: Float, origin0: Float, spin: Float, shift: Float, frames: Float) -> None:
     """Fill rotation and origin of frames[f]: exp(s spin) rotation0 by Rodrigues' formula."""
-    angle = math.sqrt(spin[f, 0] * spin[f, 0] + spin[f, 1] * spin[f, 1] + spin[f, 2] * spin[f, 2])
-    scale = 1.0 / angle if angle > 0.0 else 0.0
-    kx, ky, kz = spin[f, 0] * scale, spin[f, 1] * scale, spin[f, 2] * scale
+    turn = row_at(spin, f)
+    angle = math.sqrt(dot(turn, turn))
+    axis = times(1.0 / angle if angle > 0.0 else 0.0, turn)
     sine, rest = math.sin(s * angle), 2.0 * math.sin(0.5 * s * angle) ** 2
     for c in range(3):
-        mx, my, mz = rotation0[f, c], rotation0[f, 3 + c], rotation0[f, 6 + c]
-        cx, cy, cz = ky * mz - kz * my, kz * mx - kx * mz, kx * my - ky * mx
-        frames[f, c] = mx + sine * cx + rest * (ky * cz - kz * cy)
-        frames[f, 3 + c] = my + sine * cy + rest * (kz * cx - kx * cz)
-        frames[f, 6 + c] = mz + sine * cz + rest * (kx * cy - ky * cx)
+        m = rotation0[f, c], rotation0[f, 3 + c], rotation0[f, 6 + c]
+        across = cross(axis, m)
+        turned = plus(plus(m, times(sine, across)), times(rest, cross(axis, across)))
+        frames[f, c], frames[f, 3 + c], frames[f, 6 + c] = turned
         frames[f, 9 + c] = origin0[f, c] + s * shift[f, c]
 
 
@@ -115,11 +122,9 @@ def turn_out(v: Vector, frames: Float, f: Index) -> tuple[float, float, float]:
 @forced_inline
 def carry(local: Float, b: Index, frames: Float, f: Index, x: Float, v: Float, p: Index) -> None:
     """Set column p of x, v (3, n) to place b of local (b, 3), fixed to frame f, as posed at present."""
-    rx, ry, rz = turn_out((local[b, 0], local[b, 1], local[b, 2]), frames, f)
-    x[0, p], x[1, p], x[2, p] = frames[f, 9] + rx, frames[f, 10] + ry, frames[f, 11] + rz
-    v[0, p] = frames[f, 12] + (frames[f, 16] * rz - frames[f, 17] * ry)
-    v[1, p] = frames[f, 13] + (frames[f, 17] * rx - frames[f, 15] * rz)
-    v[2, p] = frames[f, 14] + (frames[f, 15] * ry - frames[f, 16] * rx)
+    r, spin = turn_out(row_at(local, b), frames, f), (frames[f, 15], frames[f, 16], frames[f, 17])
+    x[0, p], x[1, p], x[2, p] = plus((frames[f, 9], frames[f, 10], frames[f, 11]), r)
+    v[0, p], v[1, p], v[2, p] = plus((frames[f, 12], frames[f, 13], frames[f, 14]), cross(spin, r))
 
 
 @forced_inline

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nuno_geometry.normals import face_normals, vertex_normals
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, minus
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import ELASTIC, RAISED, SPLIT, TAKEN, Fabric, Float, Hinges, Int, Relief, State
 from nuno_schemas.operation import Changed, Outcome
@@ -215,15 +216,10 @@ def _nearest(x: Float, feet: Int, turn: Float, vertices: Int, own: Float, across
     for i in range(len(vertices)):
         best_left, best_right = np.inf, np.inf
         nearest[i, 0], nearest[i, 1] = -1, -1
-        size = 0.0
-        for k in range(3):
-            size += across[i, k] * across[i, k]
+        size = dot(across[i], across[i])
         for j in range(len(feet)):
-            side, distance = 0.0, 0.0
-            for k in range(3):
-                component = x[feet[j], k] - x[vertices[i], k]
-                side += component * across[i, k]
-                distance += component * component
+            way = minus(x[feet[j]], x[vertices[i]])
+            side, distance = dot(way, across[i]), dot(way, way)
             if turn[j] * own[i] > 0.0 or 2.0 * side * side < size * distance:
                 continue
             if side > 0.0 and distance < best_left:

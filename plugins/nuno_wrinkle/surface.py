@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_geometry.poses import blend
 from nuno_geometry.sections import crossed_edge, edge_share, make_chord
 from nuno_kernels import kernel
+from nuno_kernels.lanes import dot, minus
 from nuno_schemas.fabric import Bool, Float, Int
 
 BORDER, CROWDED = -1, -2
@@ -84,14 +86,8 @@ class Passed(NamedTuple):
 @kernel
 def _count(i: int, entry: Float, leave: Float, x: Float, faces: Int, height: float, passed: Passed) -> None:
     """Add one line's part in triangle i, from `entry` to `leave` (3,) barycentric."""
-    total = passed.total
-    length = 0.0
-    for k in range(3):
-        d = 0.0
-        for c in range(3):
-            d += (leave[c] - entry[c]) * x[faces[i, c], k]
-        length += d * d
-    length = max(np.sqrt(length), total[-1, 0])
+    total, way = passed.total, blend(minus(leave, entry), x, faces[i])
+    length = max(np.sqrt(dot(way, way)), total[-1, 0])
     for c in range(3):
         total[i, c] += 0.5 * length * (entry[c] + leave[c])
     total[i, 3] += length

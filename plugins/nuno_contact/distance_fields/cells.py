@@ -106,7 +106,7 @@ def gather_leaves(area: Float, centre: Float, corner: Float, leaves: Float) -> N
         low, high = WIDTH * leaf, min(WIDTH * (leaf + 1), area.shape[0])
         whole = 0.0
         for i in range(low, high):
-            size = math.sqrt(area[i, 0] ** 2 + area[i, 1] ** 2 + area[i, 2] ** 2)
+            size = math.sqrt(dot(area[i], area[i]))
             whole += size
             for c in range(3):
                 leaves[leaf, c] += area[i, c]
@@ -115,10 +115,8 @@ def gather_leaves(area: Float, centre: Float, corner: Float, leaves: Float) -> N
             leaves[leaf, 3 + c] = leaves[leaf, 3 + c] / whole if whole > 0.0 else centre[low, c]
         for i in range(low, high):
             for k in range(3):
-                away = 0.0
-                for c in range(3):
-                    away += (corner[i, k, c] - leaves[leaf, 3 + c]) ** 2
-                leaves[leaf, 6] = max(leaves[leaf, 6], away)
+                away = minus(corner[i, k], leaves[leaf, 3:6])
+                leaves[leaf, 6] = max(leaves[leaf, 6], dot(away, away))
         leaves[leaf, 7] = high - low
 
 
@@ -134,16 +132,15 @@ def gather_nodes(boxes: Float, child: NDArray[np.int64], leaves: Float, nodes: F
                 if not boxes[6 * node, lane] < math.inf:
                     continue
                 part = leaves[-1 - (first - lane)] if first < 0 else nodes[first + lane]
-                size = math.sqrt(part[0] ** 2 + part[1] ** 2 + part[2] ** 2) + 1e-3 * part[6]
-                away = 0.0
-                for c in range(3):
-                    if turn == 0:
-                        nodes[node, c] += part[c]
-                        nodes[node, 3 + c] += size * part[3 + c]
-                    away += (part[3 + c] - nodes[node, 3 + c]) ** 2
-                whole += size if turn == 0 else 0.0
                 if turn == 1:
-                    nodes[node, 6] = max(nodes[node, 6], (math.sqrt(away) + math.sqrt(part[6])) ** 2)
+                    away = minus(part[3:6], nodes[node, 3:6])
+                    nodes[node, 6] = max(nodes[node, 6], (math.sqrt(dot(away, away)) + math.sqrt(part[6])) ** 2)
+                    continue
+                size = math.sqrt(dot(part, part)) + 1e-3 * part[6]
+                whole += size
+                for c in range(3):
+                    nodes[node, c] += part[c]
+                    nodes[node, 3 + c] += size * part[3 + c]
             if turn == 0:
                 for c in range(3):
                     nodes[node, 3 + c] /= whole

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from nuno_geometry.poses import Vector, row_at, vector
+from nuno_geometry.poses import Vector, blend, row_at, vector
 from nuno_kernels import block_kernel, kernel
 from nuno_kernels.lanes import dot, minus, plus, times
 from nuno_render.annotate import annotate
@@ -20,7 +20,6 @@ from nuno_render.rays.surfaces import find_weights
 from nuno_render.rays.worn import Skin, check_eye, gather_skin
 from nuno_render.rays.yarns import draw_in_parts
 from nuno_render.shading.lighting import key_direction, unit
-from nuno_render.shading.shade import blend
 from nuno_render.sight import Sight, aim, place_sample, scramble, sight_of
 from nuno_schemas.colour import colours, parse_hex
 from nuno_schemas.errors import BadInput

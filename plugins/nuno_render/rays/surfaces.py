@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nuno_geometry.poses import Vector, row_at, vector
+from nuno_geometry.poses import Vector, blend, row_at, vector
 from nuno_kernels import kernel
 from nuno_kernels.lanes import cross, dot, minus, over, plus, times
 from nuno_render.rays.hits import Buffers
 from nuno_render.rays.worn import Hues, Skin, Threads, free_way
 from nuno_render.shading.fibre import scatter
 from nuno_render.shading.ground import Ground, fade_at, lay_floor
-from nuno_render.shading.shade import blend, raise_point, sky
+from nuno_render.shading.shade import raise_point, sky
 from nuno_render.sight import place_sample, scramble
 from nuno_schemas.fabric import Float
 

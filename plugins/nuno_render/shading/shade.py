@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nuno_geometry.poses import Vector, row_at
+from nuno_geometry.poses import Vector, blend, row_at
 from nuno_kernels import kernel
 from nuno_kernels.lanes import cross, dot, minus, over, plus, times
 from nuno_render.scene import DrawnScene, look_up
@@ -45,13 +45,6 @@ def corner_weights(planes: Planes, x: float, y: float) -> Vector:
     weights = dot(planes[0], at), dot(planes[1], at), dot(planes[2], at)
     total = weights[0] + weights[1] + weights[2]
     return over(weights, total) if total != 0.0 else (1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0)
-
-
-@kernel
-def blend(weights: Vector, rows: Float, corners: Any) -> Vector:
-    """Return the mean of rows of (n, 3), those of three corners, by weights."""
-    first, second = times(weights[0], row_at(rows, corners[0])), times(weights[1], row_at(rows, corners[1]))
-    return plus(plus(first, second), times(weights[2], row_at(rows, corners[2])))
 
 
 @kernel
