@@ -289,7 +289,7 @@ def add_turns(at: Float, first: Long, low: Float, size: float, shape: Long, x: F
     """
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        a, b, c = vertex(x, i), vertex(x, j), vertex(x, k)
+        a, b, c = row_at(x, i), row_at(x, j), row_at(x, k)
         x1, y0, z0 = more(more(a[0], b[0]), c[0]), less(less(a[1], b[1]), c[1]), less(less(a[2], b[2]), c[2])
         y1, z1 = more(more(a[1], b[1]), c[1]), more(more(a[2], b[2]), c[2])
         rows = max(int((y0 - low[0]) / size), 0), min(int((y1 - low[0]) / size), shape[0] - 1)
