@@ -265,7 +265,7 @@ def examine(x: Float, edges: Int, faces: Int, edge: Int, face: Int, within: floa
 
 
 # How often a closed mesh goes round points: so many times more a ray along x leaves it than enters it. Points
-# are listed by the cells of a grid, so that a triangle tests those that may be beside it.
+# are listed by the cells of a grid, so that a triangle tests only those of the cells that it covers.
 #
 # Which side of an edge a ray passes is computed from the edge's ends in the order of their numbers, and so with the
 # same bits for both of its triangles: a ray that hits an edge or a vertex crosses exactly one.

@@ -152,7 +152,7 @@ class ClothContact(Plugin, Protocol):
         """Return the term of all cloth, which has faces. `objects` holds the vertices (k,) of each object by name; meet
         (o, o) is true for objects, in that order, that collide with each other or themselves. `bodies` are those that
         the scene treats as cloth, with the frames of all bodies, and `poses` their start; None if it names none and
-        there is no skin, out of which another contact moves vertices before this one acts.
+        there is no skin, whose own contact moves vertices out of it before this one acts.
         """
         ...
 

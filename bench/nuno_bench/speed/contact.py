@@ -197,7 +197,7 @@ class Parts:
 
     @property
     def contact_steps(self) -> int:
-        """Steps of contact so far, of which one with `respa` stands for several of tension."""
+        """Steps of contact so far: with `respa` each stands for several steps of tension."""
         return self._counted()[2]
 
     def look(self) -> None:

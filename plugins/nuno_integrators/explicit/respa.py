@@ -5,9 +5,7 @@ Verlet-I or the reversible reference system propagator (Grubmueller et al. 1991,
 Berne & Martyna 1992, J. Chem. Phys. 97, 1990-2001). Cloth hardly stretches: what limits an explicit step is tension
 alone, whose force is cheap to find. Bending, wind and contact are softer by an order of magnitude or more and cost
 several times as much. A kick of theirs is as strong as the steps that it stands for, and cloth is held off itself
-and off bodies once for each kick, along the straight way since the last one. What slides on rigid bodies is held off
-them after every step, whose friction is not that of a mean velocity; off skins, held off them after every step, more
-frames of a walk were crossed than once for each kick.
+and off bodies once for each kick, along the straight way since the last one.
 
 A shorter step takes no more steps to a kick than the step that `dt: auto` takes: both are refined together, or the
 error of the kicks would remain whatever the step.
@@ -57,10 +55,10 @@ from nuno_integrators.explicit.updates import add, average, rejoin
 from nuno_integrators.packing import parts, silence
 from nuno_integrators.stability import measure_rates, stable_step
 from nuno_kernels import kernel
-from nuno_kernels.step.acceleration import Packed, add_forces, commit, credit, evaluate, hold, place
+from nuno_kernels.step.acceleration import Packed, add_forces, commit, credit, evaluate, place
 from nuno_kernels.step.blocks import copy_rows
 from nuno_kernels.terms import kernels_of
-from nuno_schemas.fabric import Bool, Fabric, Float, State
+from nuno_schemas.fabric import Fabric, Float, State
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import StepLimit, System, Term
 
@@ -193,10 +191,7 @@ def advance_respa(x: Float, v: Float, stages: Float, steps: int, dt: float, tens
             else:
                 add_forces(here_x, here_v, 0.0, to_x, to_v, dt, tension.twice if one + 1 < steps else p)
             here_x, here_v, to_x, to_v = to_x, to_v, here_x, here_v
-            if one + 1 < step + after:
-                hold(p.bodies, p.bodies_on, here_x, here_v, (one + 1.5) / steps, p.threads)
         add(here_x, here_x, -0.5 * dt, here_v, p.threads)
-        hold(p.bodies, p.bodies_on, here_x, here_v, (step + after) / steps, p.threads)
         step, before = step + after, after
         average(u, here_v, here_x, last, 1.0 / (after * dt), p.threads)
         copy_rows(here_x, to_x)
@@ -230,11 +225,11 @@ class Division:
         """Return the system of what acts in every step."""
         gravity = np.zeros(3) if self.rests else p.gravity
         others = [name for name in parts(p) if name not in self.always]
-        return silence(p, *others)._replace(bodies_on=p.bodies_on & sliding(p), damping=0.0, gravity=gravity)
+        return silence(p, *others)._replace(bodies_on=np.zeros_like(p.bodies_on), damping=0.0, gravity=gravity)
 
     def slow_part(self, p: Packed) -> Packed:
         """Return the system of what acts as kicks."""
-        slow = silence(p, *self.always)._replace(bodies_on=p.bodies_on & ~sliding(p))
+        slow = silence(p, *self.always)
         return slow if self.rests else slow._replace(gravity=np.zeros(3))
 
     def split_kicks(self, p: Packed) -> tuple[Packed, Packed]:
@@ -316,6 +311,8 @@ class Respa(Compiled):
 
     def limit(self, config: RespaConfig, system: System, state: State) -> StepLimit:
         """Return the limit of all forces with the damping of tension, and of the other forces alone."""
+        if has_sliding(system.terms):
+            return SymplecticEuler().limit(config, system, state)
         fast, slow = both_rates(system, state)
         step, whole = stable(fast, slow, system.damping), math.hypot(fast[0], slow[0])
         if config.every != "auto" and math.isfinite(step) and step > 0.0:
@@ -326,6 +323,8 @@ class Respa(Compiled):
 
     def steps_a_kick(self, config: RespaConfig, system: System, dt: float, span: float) -> int:
         """Return the steps of dt [s] for each kick in this system, in frames of `span` [s]."""
+        if has_sliding(system.terms):
+            return 1
         return divide(system).steps_a_kick(dt, span) if config.every == "auto" else config.every
 
     def go(self, work: RespaWork, packed: Packed, steps: int, dt: float) -> StepResult:
@@ -346,7 +345,7 @@ class Respa(Compiled):
         """Return the velocity v before the last kicks, by iteration: a kick changes it by H / 2 a(v)."""
         kicks = work.division.split_kicks(packed)
         a, v = np.empty_like(work.v), work.v
-        for _ in range(ROUNDS if any(work.last) else 0):
+        for _ in range(ROUNDS if any(work.last) and not _slides(work.packed) else 0):
             before = work.v.copy()
             for part, last in zip(kicks, work.last, strict=True):
                 evaluate(work.x, v, 1.0, a, part)
@@ -363,7 +362,7 @@ class Respa(Compiled):
         """
         always = work.division.always
         alone = not work.packed.bodies and not set(parts(work.packed)) - set(always)
-        if alone:
+        if alone or _slides(work.packed):
             return SymplecticEuler().steps_of(work)
 
         def loop(x: Float, v: Float, stages: Float, steps: int, dt: float, p: Packed) -> None:
@@ -381,9 +380,13 @@ class Respa(Compiled):
         return super().about(system) + "; all but tension as kicks every few steps"
 
 
-def sliding(packed: Packed) -> Bool:
-    """Return which of the bodies' terms hold off rigid bodies what slides on them."""
-    return np.array(["slow" in kernels_of(term) for term in packed.bodies], np.bool_)
+def has_sliding(terms: Sequence[Term]) -> bool:
+    """Whether vertices slide on bodies."""
+    return any("slow" in kernels_of(part) for term in terms for part in _parts(term))
+
+
+def _slides(packed: Packed) -> bool:
+    return any("slow" in kernels_of(term) for term in packed.bodies)
 
 
 def at_start(system: System) -> State:

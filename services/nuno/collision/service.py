@@ -339,9 +339,12 @@ def main(context: Context) -> None:
         with open_recording(context.options.resume) as recording:
             context.loaded.recorded_poses = recorded_poses(recording, recording.common_checkpoint().t)
 
+    # A plugin that does not come back leaves the query to finish unanswered.
+    overdue = Timer(LEAVE_AFTER, containment.end_calls, (context.bus.run, LEAVE_AFTER))
+
     def on_query(query: Query) -> None:
-        if query.name == f"finish/{context.bus.service}":  # unanswered while a plugin does not come back
-            Timer(LEAVE_AFTER, containment.end_calls, (context.bus.run, LEAVE_AFTER)).start()
+        if query.name == f"finish/{context.bus.service}" and overdue.ident is None:
+            overdue.start()
 
     inbox = Inbox(context.bus, [CLOTH_AND_STATES], on_query=on_query)
     collision = Collision(context, shared_bodies(context.loaded) if scene.bodies else None, inbox)
@@ -361,6 +364,7 @@ def main(context: Context) -> None:
             inbox.refuse(message)
 
     finish = each_message(context, inbox, handle, collision.answer, collision.between)
+    overdue.cancel()
     facts: dict[str, Any] = {"seconds": collision.seconds}
     if scene.bodies:
         if collision.followers is not None:
