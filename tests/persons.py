@@ -90,12 +90,8 @@ def bar(length: float = 0.24, width: float = 0.03, parts: int = 24) -> tuple[Flo
     return x, triangles if volume(x, triangles) > 0.0 else np.ascontiguousarray(triangles[:, ::-1])
 
 
-def skinned(friction: float = 0.3) -> Geometry:
-    """A bar that is a skin of two frames, at its middle: one carries the left half and the other the right one, and
-    weights pass over a fifth of the length.
-    """
-    x, faces = bar()
-    right = np.clip(0.5 + x[:, 0] / (0.2 * np.ptp(x[:, 0])), 0.0, 1.0)
+def as_skin(x: Float, faces: Int, right: Float, friction: float = 0.3) -> Geometry:
+    """A closed mesh that is a skin of two frames, bound at the origin; right (v,) is the second one's weight."""
     weight = np.stack([1.0 - right, right], axis=1)
     order = np.argsort(-weight, axis=1, kind="stable")
     skin = Skin(np.zeros((2, 3)), order.astype(np.int32), np.take_along_axis(weight, order, axis=1))
@@ -105,3 +101,11 @@ def skinned(friction: float = 0.3) -> Geometry:
         x.max(axis=0)[None], np.zeros(1), np.nan * one, 0.5 * one, friction * one, x, faces,
         np.zeros(len(faces), np.int32), skins=(skin,),
     )  # fmt: skip
+
+
+def skinned(friction: float = 0.3) -> Geometry:
+    """A bar bound at its middle: one frame carries the left half and the other the right one, and weights pass over a
+    fifth of the length.
+    """
+    x, faces = bar()
+    return as_skin(x, faces, np.clip(0.5 + x[:, 0] / (0.2 * np.ptp(x[:, 0])), 0.0, 1.0), friction)

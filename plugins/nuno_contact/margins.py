@@ -12,7 +12,7 @@ from nuno_geometry.normals import face_normals, vertex_normals
 from nuno_kernels import kernel
 from nuno_schemas.bodies import CAPSULE, OF_TRIANGLES, Geometry
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 from nuno_schemas.vectors import face_areas
 
 # Let q = sum_i b_i x_i be a point of a triangle with sides of at most L. For any point a
@@ -64,16 +64,10 @@ def roundness(x: Float, faces: Int) -> tuple[float, float]:
     All but SHARPER of its convex part have at least this radius of curvature, the way from a triangle's middle to a
     vertex over the normal's turn on it, and at most this angle between both normals. A plate has half its thickness.
     """
-    corners, normal = x[faces], face_normals(x, faces)
-    sums = vertex_normals(x, faces)
-    unit = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), FLAT)
-    turn = unit[faces] - normal[:, None]
-    size = np.linalg.norm(turn, axis=2)
-    way = np.einsum("fki,fki->fk", corners - corners.mean(axis=1, keepdims=True), turn)
-    convex = (size > FLAT) & (way > 0.0)
+    way, size, convex = _turns(x, faces)
     if not convex.any():
         return 0.0, FLAT
-    share = np.repeat(face_areas(corners)[:, None], 3, axis=1)[convex]
+    share = np.repeat(face_areas(x[faces])[:, None], 3, axis=1)[convex]
 
     def beyond(values: Float) -> float:
         ascending = np.argsort(values)
@@ -82,6 +76,30 @@ def roundness(x: Float, faces: Int) -> tuple[float, float]:
 
     cosine = max(beyond(1.0 - 0.5 * size[convex] ** 2), FLAT)
     return min(beyond(way[convex] / size[convex] ** 2) * cosine, thinness(x)), cosine
+
+
+def local_roundness(x: Float, faces: Int) -> Float:
+    """Return of each vertex 1 / radius [1/m] and 1 - cosine (n, 2) of `round_margin`, 0 where a mesh is not convex; the
+    largest of its triangles, as `roundness` has them of the whole mesh.
+    """
+    found = np.zeros((len(x), 2))
+    way, size, convex = _turns(x, faces)
+    turned = np.minimum(0.5 * size[convex] ** 2, 1.0 - FLAT)
+    np.maximum.at(found[:, 0], faces[convex], size[convex] ** 2 / (way[convex] * (1.0 - turned)))
+    np.maximum.at(found[:, 1], faces[convex], turned)
+    return found
+
+
+def _turns(x: Float, faces: Int) -> tuple[Float, Float, Bool]:
+    """Return of each triangle's corners (f, 3) the way from its middle to the corner times the normal's turn on it [m],
+    the turn's size, and whether the mesh is convex there.
+    """
+    corners, sums = x[faces], vertex_normals(x, faces)
+    unit = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), FLAT)
+    turn = unit[faces] - face_normals(x, faces)[:, None]
+    size = np.linalg.norm(turn, axis=2)
+    way = np.einsum("fki,fki->fk", corners - corners.mean(axis=1, keepdims=True), turn)
+    return way, size, (size > FLAT) & (way > 0.0)
 
 
 def thinness(x: Float) -> float:

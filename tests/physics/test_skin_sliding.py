@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from persons import person, skinned
+import trimesh
+from cloth_in_bodies import meeting
+from persons import as_skin, person, skinned
 from sheets import sheet
 from sliding_world import G, World, loose
 
@@ -75,6 +77,62 @@ def test_the_closest_point_of_a_skin_in_motion_is_that_of_all_triangles() -> Non
         assert farther.min() > -1e-15 and farther.max() < most
         assert (farther > 1e-13).mean() <= share
         assert np.array_equal(distance < 0.0, found.distance[1:] < 0.0)
+
+
+def ball(radius: float, at: tuple[float, float, float], sharp: float = 0.0) -> tuple[Float, Int]:
+    """A ball with edges of a seventh of its radius; every 40th vertex of it sticks out by `sharp` radii."""
+    mesh = trimesh.creation.icosphere(3, radius)
+    x = np.array(mesh.vertices)
+    x[::40] *= 1.0 + sharp
+    return x + at, np.asarray(mesh.faces, np.int32)
+
+
+def test_no_triangle_enters_a_skin_that_is_sharper_in_places_than_in_all() -> None:
+    """Triangles of a ball's edges, over points that stick out of it, are put where corners and middles of sides keep
+    their margins; they would enter with the one margin that suits the ball.
+    """
+    mesh, rng, number = ball(0.1, (0.0, 0.0, 0.0), 0.05), np.random.default_rng(5), 40
+    triangles = rng.normal(size=(number, 3, 3))
+    way = mesh[0][40 * (np.arange(number) % 16)] / 0.105
+    triangles -= (
+        triangles.mean(axis=1, keepdims=True) + (triangles * way[:, None]).sum(axis=2)[:, :, None] * way[:, None]
+    )
+    triangles *= 0.03 / np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)[:, None, None]
+    corners = np.arange(3 * number, dtype=np.int32).reshape(-1, 3)
+    cloth = replace(loose(triangles.reshape(-1, 3)), faces=corners)
+    here, entered = Poses(0.0, np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)), np.zeros((2, 3))), []
+    geometry = as_skin(*mesh, np.zeros(len(mesh[0])))
+    for local in (True, False):
+        slides = Sliding().prepare(SlidingConfig(), cloth, geometry, DOWN).data[0]
+        if not local:
+            slides = slides._replace(spread=np.zeros_like(slides.spread))
+        low, high = np.full(number, 0.09), np.full(number, 0.2)
+        for _ in range(20):
+            half = 0.5 * (low + high)
+            placed = (triangles + (half[:, None] * way)[:, None]).reshape(-1, 3)
+            begin_frame(slides, np.ascontiguousarray(placed.T), 1e-3, None)
+            at = placed[slides.ends].mean(axis=1)
+            off = [find_plane(tuple(point), p, 0.0, slides) - slides.plane[p, 11] for p, point in enumerate(at)]
+            clear = np.full(number, np.inf)
+            np.minimum.at(clear, slides.ends[:, 0] // 3, off)
+            low, high = np.where(clear >= 0.0, low, half), np.where(clear >= 0.0, half, high)
+        placed = (triangles + (high[:, None] * way)[:, None]).reshape(-1, 3)
+        entered.append(int(meeting(placed, corners, geometry, here).sum()))
+    assert entered[0] == 0 < entered[1]
+
+
+def test_a_limb_that_comes_to_a_point_near_another_one_within_a_frame_moves_it_on() -> None:
+    """A point 25 mm from a ball, to which another ball of the same skin comes in one frame, from 30 mm away, by 40."""
+    one, other = ball(0.05, (-0.075, 0.0, 0.0)), ball(0.05, (0.08, 0.0, 0.0))
+    x, faces = np.concatenate([one[0], other[0]]), np.concatenate([one[1], other[1] + len(one[0])])
+    world = World(loose(np.zeros((1, 3))), as_skin(x, faces, (x[:, 0] > 0.0).astype(float)), np.zeros(3))
+    places = np.array([[[0.0, 0.0, 0.0]] * 2, [[0.0, 0.0, 0.0], [-0.04, 0.0, 0.0]]])
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    start, end = Poses(0.0, still, places[0]), Poses(1.0 / 60.0, still, places[1])
+    world.go(50, 1.0 / 3000.0, start, end)
+    moved = other[0] + places[1, 1]
+    assert closest_points(build_tree(moved, other[1]), world.state.x).distance[0] > 0.0
+    assert world.state.x[0, 0] < -0.009
 
 
 def frames(t: float, turn: float = 0.0, place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Poses:

@@ -136,7 +136,8 @@ class Sliding:
             square = 0.25 * spread if kind == SKIN else spread
             own = gap + (mesh_margins(square, *mesh) if margin == "auto" else np.where(spread > 0.0, margin, 0.0))
             if kind == SKIN:
-                skins.append(make_skin_slides(geometry, part, fabric, own))
+                local = square if margin == "auto" else np.zeros_like(spread)
+                skins.append(make_skin_slides(geometry, part, fabric, gap, own, local))
             else:
                 bodies.append(SlidingBody(build_tree(*mesh), int(geometry.frame[part]), mu, own))
         rigid = (make_slides(bodies, len(geometry.frames), mass),) if bodies else ()

@@ -1,14 +1,15 @@
 """Sliding contact with a skin that bends: vertices and the middles of edges are kept off its closest points.
 
 At each frame's start the nearest triangle of every point is searched for, and within the frame it is walked on from
-there (nuno_geometry.moving_mesh). The closest point has a plane, which goes with that point of the skin until the cloth
-has slid along it or a third of a frame is over. A point that is nearer to its plane than its margin is put back, PUSH
-faster than it comes at most; its velocity into the skin is taken, and friction of that along it. The middle of an edge
-moves both ends.
+there (nuno_geometry.moving_mesh). A point off the skin is searched for again at the frame's end, as if it went with the
+skin meanwhile: another limb may come to it. The closest point has a plane, which goes with that point of the skin until
+the cloth has slid along it or a third of a frame is over. A point that is nearer to its plane than its margin, which
+goes by how round the skin is there, is put back, PUSH faster than it comes at most; its velocity into the skin is
+taken, and friction of that along it. The middle of an edge moves both ends.
 
-Nothing is proven: a triangle may enter between its points, and a second limb may come to a point within a frame. It is
-measured instead (nuno.collision). Inside of two parts of a skin that passes through itself, a point is put out of the
-nearer one, into the other. What a frame's start finds depends on nothing before: there is no state.
+Nothing is proven: a triangle may enter between its points, and a second limb may come to a point on the first within a
+frame. It is measured instead (nuno.collision). Inside of two parts of a skin that passes through itself, a point is put
+out of the nearer one, into the other. What a frame's start finds depends on nothing before: there is no state.
 
 Not chosen: tracks that go on from frame to frame, which hang on the wrong leg, and belong to the state; and a second
 track for each point, on whatever faces it from the other side: its search took as long as all else, and cloth of a walk
@@ -22,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nuno_contact.margins import local_roundness, round_margin
 from nuno_geometry.closest_point import find_place
 from nuno_geometry.moving_mesh import MovingMesh, fit_tree, make_moving_mesh, normal_at, walk
 from nuno_geometry.poses import Vector
@@ -62,8 +64,14 @@ class SkinSlides(NamedTuple):
     """(q,) its frames among all"""
     ends: Int
     """(p, 2) vertices of each point, twice the same for a vertex"""
+    gap: float
+    """distance from the surface at which cloth rests [m]"""
     margin: Float
-    """(p,) distance from the surface at which each point is kept [m]"""
+    """(p,) least distance at which each point is kept [m], by the whole skin; larger where it is sharper"""
+    spread: Float
+    """(p,) S of the triangles at each point [m^2] (nuno_contact.margins)"""
+    round: Float
+    """(v, 2) 1 / radius [1/m] and 1 - cosine of each vertex of the skin, in the bind pose, for its round_margin"""
     friction: float
     body: int
     """number of its body"""
@@ -75,8 +83,8 @@ class SkinSlides(NamedTuple):
     face: Long
     """(p,) triangle that each point was nearest to, when last looked for"""
     plane: Float
-    """(p, 11) closest point [m], its velocity [m/s], the unit normal, and the fraction of the interval, as of when they
-    were found; and the fraction until which the point is left alone"""
+    """(p, 12) closest point [m], its velocity [m/s], the unit normal, and the fraction of the interval, as of when they
+    were found; the fraction until which the point is left alone; and the distance at which it is kept [m]"""
     touching: Int
     """(1,) points touching after the last step"""
 
@@ -104,19 +112,38 @@ def find_plane(at: Vector, p: int, s: float, m: SkinSlides) -> float:
         moved = a * (y[i, c] - x[i, c]) + foot.s * (y[j, c] - x[j, c]) + foot.t * (y[k, c] - x[k, c])
         plane[p, c], plane[p, 3 + c] = at[c] - foot.way[c], m.time[1] * moved
         plane[p, 6 + c] = way[c] / size if size != 0.0 else 0.0
+    bent = a * m.round[i, 0] + foot.s * m.round[j, 0] + foot.t * m.round[k, 0]
+    turned = a * m.round[i, 1] + foot.s * m.round[j, 1] + foot.t * m.round[k, 1]
+    local = round_margin(m.spread[p], 1.0 / bent, 1.0 - turned) if bent > 0.0 else 0.0
+    plane[p, 11] = max(m.margin[p], m.gap + local)
     return distance
 
 
 @block_kernel
 def begin_block(block: int, x: Float, m: SkinSlides) -> None:
     """Find the planes of a block's points at the interval's start."""
-    room, tree, face, margin, span = make_room(), m.mesh.tree, m.face, m.margin, m.time[0]
+    room, tree, face, span = make_room(), m.mesh.tree, m.face, m.time[0]
     for p in range(block * BLOCK, min((block + 1) * BLOCK, m.ends.shape[0])):
-        at, reach = middle(x, m.ends[p, 0], m.ends[p, 1]), FASTEST * span + margin[p] + NEAR
+        at = middle(x, m.ends[p, 0], m.ends[p, 1])
+        reach = FASTEST * span + m.margin[p] + math.sqrt(m.spread[p]) + NEAR
         m.plane[p, 10] = math.inf
         if abs(at[0]) + abs(at[1]) + abs(at[2]) < math.inf:
             face[p] = tree.face[find_place(at, tree.place[face[p]], 0, tree, room, reach * reach)]
-            m.plane[p, 10] = max(0.0, find_plane(at, p, 0.0, m) - margin[p] - NEAR) / (FASTEST * span)
+            m.plane[p, 10] = max(0.0, find_plane(at, p, 0.0, m) - m.plane[p, 11] - NEAR) / (FASTEST * span)
+
+
+@block_kernel
+def look_ahead(block: int, x: Float, m: SkinSlides) -> None:
+    """Let points of a block that are off the skin at the interval's start follow what is nearest at its end."""
+    room, tree, face, plane, span = make_room(), m.mesh.tree, m.face, m.plane, m.time[0]
+    for p in range(block * BLOCK, min((block + 1) * BLOCK, m.ends.shape[0])):
+        if not 0.0 < plane[p, 10] < 1.0:
+            continue
+        at, known = middle(x, m.ends[p, 0], m.ends[p, 1]), face[p]
+        gone = at[0] + span * plane[p, 3], at[1] + span * plane[p, 4], at[2] + span * plane[p, 5]
+        face[p] = tree.face[find_place(gone, tree.place[known], 0, tree, room, math.inf)]
+        if face[p] != known:
+            find_plane(at, p, 0.0, m)
 
 
 @forced_inline
@@ -133,7 +160,7 @@ def from_plane(at: Vector, p: int, s: float, span: float, plane: Float) -> tuple
 @block_kernel
 def put_back(x: Float, v: Float, s: float, h: float, share: float, m: SkinSlides) -> None:
     """Keep points at a share of their margins, one after the other, in place in x and v (3, n), in a step of h [s]."""
-    ends, plane, margin, mobility = m.ends, m.plane, m.margin, m.mobility
+    ends, plane, mobility = m.ends, m.plane, m.mobility
     friction, span, touching = m.friction, m.time[0], 0
     for p in range(ends.shape[0]):
         if s < plane[p, 10]:
@@ -141,18 +168,18 @@ def put_back(x: Float, v: Float, s: float, h: float, share: float, m: SkinSlides
         i, j = ends[p, 0], ends[p, 1]
         at, both = middle(x, i, j), mobility[i] + mobility[j]
         distance, slid = from_plane(at, p, s, span, plane)
-        free = distance - margin[p]
+        free = distance - plane[p, 11]
         far, old = max(SLID, 0.5 * free), free < NEAR and PARTS * (s - plane[p, 9]) >= 1.0
         if old or not slid < far * far:
             distance = find_plane(at, p, s, m)
-        plane[p, 10] = s + max(0.0, distance - margin[p] - NEAR) / (FASTEST * span)
-        if not distance < share * margin[p] or both == 0.0:
+        plane[p, 10] = s + max(0.0, distance - plane[p, 11] - NEAR) / (FASTEST * span)
+        if not distance < share * plane[p, 11] or both == 0.0:
             continue
         u, n = middle(v, i, j), (plane[p, 6], plane[p, 7], plane[p, 8])
         r = u[0] - plane[p, 3], u[1] - plane[p, 4], u[2] - plane[p, 5]
         along = r[0] * n[0] + r[1] * n[1] + r[2] * n[2]
         taken = max(0.0, -along)
-        lift = min(margin[p] - distance, h * (taken + PUSH))
+        lift = min(plane[p, 11] - distance, h * (taken + PUSH))
         t = r[0] - along * n[0], r[1] - along * n[1], r[2] - along * n[2]
         size = math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
         slow = min(1.0, friction * taken / size) if size > 0.0 else 0.0
@@ -183,7 +210,7 @@ def set_skin_poses(m: SkinSlides, start: Poses, end: Poses) -> None:
     m.time[1] = 1.0 / (end.t - start.t) if moving else 0.0
 
 
-begin_blocks = over_blocks(begin_block, "x, m")
+begin_blocks, look_ahead_in_blocks = over_blocks(begin_block, "x, m"), over_blocks(look_ahead, "x, m")
 
 
 @kernel
@@ -191,7 +218,11 @@ def begin_frame(m: SkinSlides, x: Float, span: float, threads: int | None) -> No
     """Find all planes at the start of an interval of `span` [s]."""
     m.time[0], m.time[2] = span, 0.0
     fit_tree(m.mesh.start, m.mesh.tree)
-    begin_blocks(x, m, (m.ends.shape[0] + BLOCK - 1) // BLOCK, threads)
+    blocks = (m.ends.shape[0] + BLOCK - 1) // BLOCK
+    begin_blocks(x, m, blocks, threads)
+    if span * m.time[1] > 0.0:
+        fit_tree(m.mesh.end, m.mesh.tree)
+        look_ahead_in_blocks(x, m, blocks, threads)
 
 
 def begin_interval(m: SkinSlides, x: Float, span: float, threads: int | None) -> None:
@@ -219,8 +250,10 @@ register(
 )  # fmt: skip
 
 
-def make_skin_slides(geometry: Geometry, primitive: int, fabric: Fabric, margin: Float) -> SkinSlides:
-    """Return the term of a skin in its bind pose; margin (n,) [m] of the vertices."""
+def make_skin_slides(
+    geometry: Geometry, primitive: int, fabric: Fabric, gap: float, margin: Float, spread: Float
+) -> SkinSlides:
+    """Return the term of a skin in its bind pose; margin (n,) [m] and spread (n,) [m^2] of the vertices."""
     skin, (x, faces), body = geometry.skin(primitive), geometry.mesh(primitive), int(geometry.body[primitive])
     assert skin is not None
     sides = np.sort(fabric.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -228,7 +261,8 @@ def make_skin_slides(geometry: Geometry, primitive: int, fabric: Fabric, margin:
     ends = np.concatenate([vertices, np.unique(sides, axis=0)]).astype(np.int32)
     return SkinSlides(
         make_moving_mesh(x, faces), x, skin.place, skin.joint, skin.weight,
-        np.arange(first, first + len(skin.place), dtype=np.int32), ends, margin[ends].max(axis=1),
-        float(geometry.friction[body]), body, np.where(fabric.pinned, 0.0, 1.0 / fabric.mass), np.zeros(3),
-        np.zeros(len(ends), np.int64), np.zeros((len(ends), 11)), np.zeros(1, np.int64),
+        np.arange(first, first + len(skin.place), dtype=np.int32), ends, gap, margin[ends].max(axis=1),
+        spread[ends].max(axis=1), local_roundness(x, faces), float(geometry.friction[body]), body,
+        np.where(fabric.pinned, 0.0, 1.0 / fabric.mass), np.zeros(3), np.zeros(len(ends), np.int64),
+        np.zeros((len(ends), 12)), np.zeros(1, np.int64),
     )  # fmt: skip
