@@ -100,10 +100,11 @@ class ClothContact(Choice):
     allow: list[tuple[Name, Name]] = Field(
         default_factory=list, description="objects that may pass through each other, in pairs; one through itself, too"
     )
-    bodies: list[Name] = Field(
+    bodies: list[Name] | Literal["auto"] = Field(
         default_factory=list,
         description="bodies of triangles that cloth meets as it meets cloth, and never passes through with any edge; "
-        "with a body's own friction and damping, and in the place of its contact",
+        "with a body's own friction and damping, and in the place of its contact; auto: the skins without a contact of "
+        "their own, which accuracy: preview gives `sliding` instead",
         examples=[["wearer"]],
     )
 
@@ -245,10 +246,10 @@ class Scene(Part):
                 raise PydanticCustomError("too_late", problem, context)
         return self
 
-    def _check_met(self, names: list[str]) -> None:
+    def _check_met(self, names: list[str] | Literal["auto"]) -> None:
         """Check that bodies in `cloth_contact` exist, are listed once, and have no contact of their own."""
         bodies = {body.name: body for body in self.bodies}
-        for i, name in enumerate(names):
+        for i, name in enumerate(names if names != "auto" else ()):
             place = ("cloth_contact", "bodies", i)
             if name not in bodies:
                 context = {"known": nearest(name, list(bodies)), "inside": place}
@@ -324,7 +325,16 @@ class Scene(Part):
     def met_bodies(self) -> list[int]:
         """Numbers of the bodies that the cloth contact treats as cloth."""
         names = self.cloth_contact.bodies if self.meets and isinstance(self.cloth_contact, ClothContact) else ()
+        if names == "auto":
+            return [] if self.accuracy == "preview" else self.own_skins
         return [i for i, body in enumerate(self.bodies) if body.name in names]
+
+    @property
+    def own_skins(self) -> list[int]:
+        """Numbers of skins without a contact of their own, if the cloth contact has `bodies: auto`."""
+        auto = isinstance(self.cloth_contact, ClothContact) and self.cloth_contact.bodies == "auto"
+        skins = [i for i, body in enumerate(self.bodies) if body.collider.plugin == "skin" and body.contact is None]
+        return skins if auto else []
 
     @property
     def step_undecided(self) -> bool:

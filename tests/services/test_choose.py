@@ -22,7 +22,7 @@ from nuno.scene.override import apply_override, as_override
 from nuno.scene.scene_file import Loaded
 from nuno.simulation import cloth
 from nuno.simulation.solver_selection import cloth as choose
-from nuno.simulation.solver_selection.trials import PROMISE, Method, Trials
+from nuno.simulation.solver_selection.trials import PROMISE, Method, Trials, written
 from nuno_bench.piles import random_scene
 from nuno_bench.precision import accuracy
 from nuno_bench.precision.accuracy import promised_frames
@@ -266,3 +266,16 @@ def test_kicks_of_wind_deliver_what_is_promised_against_solvers_without_kicks(
     )
     assert [(one["solver"], one["verdict"]) for one in found] == 2 * [("respa", "agrees")]
     assert found[1]["error"] < 0.2 * found[0]["error"]
+
+
+def test_a_preview_meets_skins_by_closest_points_and_so_does_the_scene_that_it_leads_to() -> None:
+    """With `bodies: auto`; otherwise they are met as cloth is, as named ones always are."""
+    scene = Path(__file__).resolve().parents[2] / "scenes" / "sewn" / "dress-walk.yaml"
+    assert scene_file.read(scene).scene.met_bodies == [0]
+    preview = scene_file.read(scene, ["accuracy=preview"])
+    chosen = written(preview, {"plugin": "respa", "dt": 4e-4}, "")
+    for loaded in (preview, chosen, scene_file.read(scene, chosen.overrides)):
+        assert loaded.scene.met_bodies == [] and loaded.contacts[0].name == "sliding"
+    named = scene_file.read(scene, ["accuracy=preview", "cloth_contact.bodies=[walker]"])
+    assert named.scene.met_bodies == [0]
+    assert written(named, {"plugin": "respa", "dt": 4e-4}, "").scene.met_bodies == [0]

@@ -193,10 +193,10 @@ def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Cho
     if not scene.bodies:
         return []
     shared = chosen("nuno.contacts", scene.contact, ("contact",))
-    return [
-        chosen("nuno.contacts", body.contact, ("bodies", i, "contact")) if body.contact else shared
-        for i, body in enumerate(scene.bodies)
-    ]
+    own = {i: body.contact for i, body in enumerate(scene.bodies) if body.contact}
+    own |= {i: Choice(plugin="sliding") for i in scene.own_skins if i not in scene.met_bodies}
+    places = {i: ("bodies", i, "contact") for i in own}
+    return [chosen("nuno.contacts", own[i], places[i]) if i in own else shared for i in range(len(scene.bodies))]
 
 
 def load(data: dict[str, Any], lines: dict[yaml_lines.Path, int], file: str, files: SceneFiles) -> Loaded:

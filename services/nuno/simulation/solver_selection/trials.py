@@ -253,6 +253,12 @@ def written(loaded: Loaded, solver: Mapping[str, Any], reason: str, dyed: bool =
     if not (dyed and loaded.scene.moves):  # otherwise the cloth's step is not chosen yet
         data.pop("accuracy", None)
         overrides.append("accuracy=null")
+        if slid := [i for i in loaded.scene.own_skins if i not in loaded.scene.met_bodies]:
+            data["cloth_contact"] = {**data["cloth_contact"], "bodies": []}
+            data["bodies"] = list(data["bodies"])
+            for i in slid:
+                data["bodies"][i] = {**data["bodies"][i], "contact": {"plugin": "sliding"}}
+            overrides += ["cloth_contact.bodies=[]", *(f"bodies.{i}.contact={{plugin: sliding}}" for i in slid)]
     decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
     reasons = f"{reason}; dye: {loaded.why}" if loaded.why else reason
     return replace(decided, overrides=(*loaded.overrides, *overrides), path=loaded.path, why=reasons)
