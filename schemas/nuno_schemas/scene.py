@@ -104,7 +104,7 @@ class ClothContact(Choice):
         default_factory=list,
         description="bodies of triangles that cloth meets as it meets cloth, and never passes through with any edge; "
         "with a body's own friction and damping, and in the place of its contact; auto: the skins without a contact of "
-        "their own, which accuracy: preview gives `sliding` instead",
+        "their own, which accuracy: preview gives `sliding` instead, unless one of their frames carries cloth",
         examples=[["wearer"]],
     )
 
@@ -326,15 +326,24 @@ class Scene(Part):
         """Numbers of the bodies that the cloth contact treats as cloth."""
         names = self.cloth_contact.bodies if self.meets and isinstance(self.cloth_contact, ClothContact) else ()
         if names == "auto":
-            return [] if self.accuracy == "preview" else self.own_skins
+            return [i for i in self._own_skins if i not in self.slid_skins]
         return [i for i, body in enumerate(self.bodies) if body.name in names]
 
     @property
-    def own_skins(self) -> list[int]:
+    def slid_skins(self) -> list[int]:
+        """Numbers of the skins that the scene leaves open how to meet, and that are met by sliding contact for a
+        preview: not such as carry cloth by one of their frames, since what bends beside it would enter it.
+        """
+        attached = [model.config.get("attach") for model in (piece.model for piece in self.objects)]
+        carrying = [one.get("body") for one in attached if isinstance(one, dict) and one.get("frame") is not None]
+        return [i for i in self._own_skins if self.accuracy == "preview" and self.bodies[i].name not in carrying]
+
+    @property
+    def _own_skins(self) -> list[int]:
         """Numbers of skins without a contact of their own, if the cloth contact has `bodies: auto`."""
-        auto = isinstance(self.cloth_contact, ClothContact) and self.cloth_contact.bodies == "auto"
-        skins = [i for i, body in enumerate(self.bodies) if body.collider.plugin == "skin" and body.contact is None]
-        return skins if auto else []
+        if not (self.meets and isinstance(self.cloth_contact, ClothContact) and self.cloth_contact.bodies == "auto"):
+            return []
+        return [i for i, body in enumerate(self.bodies) if body.collider.plugin == "skin" and body.contact is None]
 
     @property
     def step_undecided(self) -> bool:

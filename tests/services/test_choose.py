@@ -269,7 +269,9 @@ def test_kicks_of_wind_deliver_what_is_promised_against_solvers_without_kicks(
 
 
 def test_a_preview_meets_skins_by_closest_points_and_so_does_the_scene_that_it_leads_to() -> None:
-    """With `bodies: auto`; otherwise they are met as cloth is, as named ones always are."""
+    """With `bodies: auto`; otherwise they are met as cloth is, as named ones always are, and such as carry cloth by one
+    of their frames.
+    """
     scene = Path(__file__).resolve().parents[2] / "scenes" / "sewn" / "dress-walk.yaml"
     assert scene_file.read(scene).scene.met_bodies == [0]
     preview = scene_file.read(scene, ["accuracy=preview"])
@@ -279,3 +281,5 @@ def test_a_preview_meets_skins_by_closest_points_and_so_does_the_scene_that_it_l
     named = scene_file.read(scene, ["accuracy=preview", "cloth_contact.bodies=[walker]"])
     assert named.scene.met_bodies == [0]
     assert written(named, {"plugin": "respa", "dt": 4e-4}, "").scene.met_bodies == [0]
+    skirt = "objects.0.model={plugin: skirt, over: {body: walker}, attach: {body: walker, frame: Hips}, length: 50 cm}"
+    assert scene_file.read(scene, ["accuracy=preview", skirt]).scene.met_bodies == [0]

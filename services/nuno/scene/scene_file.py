@@ -194,7 +194,7 @@ def _contacts(scene: Scene, chosen: Callable[[str, Choice, yaml_lines.Path], Cho
         return []
     shared = chosen("nuno.contacts", scene.contact, ("contact",))
     own = {i: body.contact for i, body in enumerate(scene.bodies) if body.contact}
-    own |= {i: Choice(plugin="sliding") for i in scene.own_skins if i not in scene.met_bodies}
+    own |= {i: Choice(plugin="sliding") for i in scene.slid_skins}
     places = {i: ("bodies", i, "contact") for i in own}
     return [chosen("nuno.contacts", own[i], places[i]) if i in own else shared for i in range(len(scene.bodies))]
 

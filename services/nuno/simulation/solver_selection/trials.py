@@ -253,12 +253,14 @@ def written(loaded: Loaded, solver: Mapping[str, Any], reason: str, dyed: bool =
     if not (dyed and loaded.scene.moves):  # otherwise the cloth's step is not chosen yet
         data.pop("accuracy", None)
         overrides.append("accuracy=null")
-        if slid := [i for i in loaded.scene.own_skins if i not in loaded.scene.met_bodies]:
-            data["cloth_contact"] = {**data["cloth_contact"], "bodies": []}
+        if slid := loaded.scene.slid_skins:
+            names = [loaded.scene.bodies[i].name for i in loaded.scene.met_bodies]
+            data["cloth_contact"] = {**data["cloth_contact"], "bodies": names}
             data["bodies"] = list(data["bodies"])
             for i in slid:
                 data["bodies"][i] = {**data["bodies"][i], "contact": {"plugin": "sliding"}}
-            overrides += ["cloth_contact.bodies=[]", *(f"bodies.{i}.contact={{plugin: sliding}}" for i in slid)]
+            overrides += [f"cloth_contact.bodies=[{', '.join(names)}]"]
+            overrides += [f"bodies.{i}.contact={{plugin: sliding}}" for i in slid]
     decided = scene_file.load(data, loaded.lines, loaded.file, loaded.files)
     reasons = f"{reason}; dye: {loaded.why}" if loaded.why else reason
     return replace(decided, overrides=(*loaded.overrides, *overrides), path=loaded.path, why=reasons)
