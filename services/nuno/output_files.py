@@ -32,6 +32,8 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".ply": (0, b"ply\n"),
     ".glb": (0, b"glTF"),
     ".usdz": (0, b"PK\x03\x04"),
+    ".pc2": (0, b"POINTCACHE2"),
+    ".mdd": (0, b"\0"),  # the upper byte of the number of frames
     ".png": (0, b"\x89PNG"),
     ".gif": (0, b"GIF8"),
     ".mp4": (4, b"ftyp"),

@@ -6,6 +6,7 @@ import csv
 import errno
 import io
 import itertools
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ import trimesh
 from exported import picture, png, seen
 from PIL import Image
 from recorded_sheet import RATE, Sheet, items, metadata, write
+from scenes import write_scene
 
 import nuno
 from nuno.cli import main
@@ -36,6 +38,7 @@ from nuno.exports.cloth import (
 from nuno.exports.meshes import export_mesh, export_meshes
 from nuno.exports.pictures import Colour, Painter, _cloth_mesh, export_picture
 from nuno.exports.tables import export_csv
+from nuno.exports.vertex_caches import export_mdd, export_pc2
 from nuno.recording.reader import Recording, open_recording
 from nuno.recording.writer import RecordingWriter
 from nuno.resimulation.frame_state import export_npz
@@ -119,6 +122,31 @@ def test_every_frame_into_a_folder(path: Path, tmp_path: Path) -> None:
         mesh = trimesh.load(out, process=False, force="mesh")
         assert np.array_equal(mesh.vertices, seen(path, k))
     assert len(list((tmp_path / "frames").iterdir())) == FRAMES
+
+
+def test_vertex_caches_hold_every_frame_in_the_order_of_a_mesh(path: Path, tmp_path: Path) -> None:
+    """As the two formats are described: PC2 in little-endian numbers, MDD in big-endian ones, with times."""
+    number, obj = len(SHEET.rest), export_mesh(path, tmp_path / "rest.obj", 0).read_text().splitlines()
+    first = np.array([line.split()[1:] for line in obj if line.startswith("v ")], float)
+    frames = np.stack([seen(path, k) for k in range(FRAMES)]).astype(np.float32)
+    assert np.array_equal(frames[0], first.astype(np.float32))
+    data = export_pc2(path, tmp_path / "out.pc2")[0].read_bytes()
+    assert struct.unpack("<12siiffi", data[:32]) == (b"POINTCACHE2\0", 1, number, 0.0, 1.0, FRAMES)
+    assert np.array_equal(np.frombuffer(data, "<f4", offset=32).reshape(FRAMES, number, 3), frames)
+    data = export_mdd(path, tmp_path / "out.mdd")[0].read_bytes()
+    assert struct.unpack(">ii", data[:8]) == (FRAMES, number)
+    assert np.array_equal(np.frombuffer(data, ">f4", FRAMES, 8), (np.arange(FRAMES) / RATE).astype(np.float32))
+    assert np.array_equal(np.frombuffer(data, ">f4", offset=8 + 4 * FRAMES).reshape(FRAMES, number, 3), frames)
+
+
+def test_each_object_has_a_vertex_cache_of_its_own(tmp_path: Path) -> None:
+    chain = {"plugin": "net", "file": "chain.npz"}
+    scene = write_scene(tmp_path, duration=0.04, objects=[{"name": name, "model": chain} for name in ("left", "right")])
+    run = nuno.run(scene, record=tmp_path / "run.mcap").path
+    with pytest.raises(BadInput, match="one object"):
+        nuno.export(run, pc2=tmp_path / "both.pc2")
+    for name, out in zip(("left", "right"), nuno.export(run, pc2=tmp_path / "both"), strict=True):
+        assert out == tmp_path / "both" / f"{name}.pc2" and out.stat().st_size == 32 + 3 * 6 * 12
 
 
 def test_one_frame_is_not_written_as_all_of_them(path: Path, tmp_path: Path) -> None:
@@ -217,13 +245,17 @@ def test_a_texture_is_read_only_from_the_recording(tmp_path: Path) -> None:
         assert read_pieces(recording)[0].image is None
 
 
-@pytest.mark.parametrize("name", ["out.npz", "out.csv", "out.obj", "out.ply", "out.glb"])
+@pytest.mark.parametrize("name", ["out.npz", "out.csv", "out.obj", "out.ply", "out.glb", "out.pc2", "out.mdd"])
 def test_only_files_of_their_own_kind_are_replaced(path: Path, tmp_path: Path, name: str) -> None:
     def export(target: Path) -> None:
         if name.endswith("npz"):
             export_npz(path, target)
         elif name.endswith("csv"):
             export_csv(path, target)
+        elif name.endswith("pc2"):
+            export_pc2(path, target)
+        elif name.endswith("mdd"):
+            export_mdd(path, target)
         else:
             export_mesh(path, target)
 
@@ -237,7 +269,8 @@ def test_only_files_of_their_own_kind_are_replaced(path: Path, tmp_path: Path, n
     first = target.read_bytes()
     export(target)
     assert target.read_bytes() == first
-    for wrong in (tmp_path / "no" / "such" / name, tmp_path / "name.txt"):
+    others = [] if name.endswith(("pc2", "mdd")) else [tmp_path / "name.txt"]  # a folder, of those
+    for wrong in (tmp_path / "no" / "such" / name, *others):
         with pytest.raises(BadInput) as caught:
             export(wrong)
         assert caught.value.remedy
@@ -296,7 +329,7 @@ def test_a_mesh_of_another_ending_is_no_folder(path: Path, tmp_path: Path, kind:
 
 KINDS = {
     "npz": ".npz", "csv": ".csv", "png": ".png", "gif": ".gif", "mp4": ".mp4", "obj": ".obj", "ply": ".ply",
-    "glb": ".glb", "usd": ".usdz", "rrd": ".rrd", "foxglove": ".mcap",
+    "glb": ".glb", "usd": ".usdz", "pc2": ".pc2", "mdd": ".mdd", "rrd": ".rrd", "foxglove": ".mcap",
 }  # fmt: skip
 
 

@@ -32,6 +32,8 @@ Time = Annotated[float, quantity("s")]
 Length = str | float
 """A length with its unit, or in metres."""
 MESHES = (".obj", ".ply", ".glb")
+FOLDERS = (*MESHES, ".pc2", ".mdd")
+"""Endings of files that may be a folder instead: of a file of every frame, or of every object."""
 FILES = {
     "npz": "float64 x, v, t (dye: phi, fixed, t; knits: pressure) of the last checkpoint, or of --frame",
     "forces": "what acts on cloth in a frame, as .npz: forces by kind, accelerations, masses, springs and tensions",
@@ -43,6 +45,8 @@ FILES = {
     "ply": "the cloth in a frame; a folder: every frame",
     "glb": "the cloth and bodies in a frame; a folder: every frame",
     "usd": "the cloth and bodies over time, or in --frame, .usdz (needs nuno[usd])",
+    "pc2": "the cloth's vertices over time, for a mesh written by --obj; a folder: a file of each object",
+    "mdd": "the same in another format",
     "rrd": "a file for the rerun viewer",
     "foxglove": "cloth and bodies as meshes, curves and log for Foxglove or Lichtblick, .mcap, and its .layout.json",
     "ros2": "the same for RViz and ros2 bag play: a new folder, a bag of ROS 2 (needs nuno[ros])",
@@ -56,16 +60,17 @@ WRITERS = {
     **{name: f"nuno.exports.tables:export_{name}" for name in ("csv", "scene")},
     "yarns": "nuno.python_api.export:export_curves", "pattern": "nuno.exports.pattern:export_pattern",
     **dict.fromkeys(("obj", "ply", "glb"), "nuno.exports.meshes:export_mesh"), "usd": "nuno.exports.usd:export_usd",
+    **{name: f"nuno.exports.vertex_caches:export_{name}" for name in ("pc2", "mdd")},
     "foxglove": "nuno.exports.foxglove:export_foxglove", "png": "nuno.exports.pictures:export_picture",
     **dict.fromkeys(("gif", "mp4"), "nuno.exports.animations:export_animation"),
     "ros2": "nuno.exports.ros2:export_ros2", "rrd": "nuno.viewer.file:convert",
 }  # fmt: skip
 """Function that writes each kind of file; the order is that of writing."""
-WHOLE = ("csv", "gif", "mp4", "rrd", "foxglove", "ros2", "scene")
+WHOLE = ("csv", "gif", "mp4", "pc2", "mdd", "rrd", "foxglove", "ros2", "scene")
 """Kinds of files of a whole run."""
 DRAWN = ("colour", "side", "size", "view", "scale", "crop", "overrides", "renderer")
 """Settings of pictures and animations."""
-SHAPED = ("forces", "yarns", "pattern", "usd", "foxglove", "ros2")
+SHAPED = ("forces", "yarns", "pattern", "usd", "pc2", "mdd", "foxglove", "ros2")
 """Kinds of files, besides MESHES, that need a shape, which cloth that is only dyed does not have."""
 ENDINGS: dict[str, tuple[str, ...]] = {
     "npz": (".npz",), "forces": (".npz",), "csv": (".csv",), "png": (".png",), "scene": (".yaml",),
@@ -93,6 +98,8 @@ class ExportFiles(BaseModel):
     ply: Path | None = None
     glb: Path | None = None
     usd: Path | None = None
+    pc2: Path | None = None
+    mdd: Path | None = None
     rrd: Path | None = None
     foxglove: Path | None = None
     ros2: Path | None = None
@@ -297,9 +304,10 @@ def _check_files(recording: Recording, asked: ExportRequest) -> None:
             raise BadInput(problem, field=f"--{name}", value=str(path), remedy=remedy)
         if name in ENDINGS or ending == f".{name}":
             check_target(path, ending)
-        elif f".{name}" in MESHES and not path.is_dir():
+        elif f".{name}" in FOLDERS and not path.is_dir():
             if re.fullmatch(r"\.[a-z]+\d?", ending):  # out.gltf is meant as a file, run.01 may be a folder
-                remedy = f"{path.stem}.{name}, or a folder for every frame: {path.stem}"
+                each = "frame" if f".{name}" in MESHES else "object"
+                remedy = f"{path.stem}.{name}, or a folder for every {each}: {path.stem}"
                 raise BadInput(f"the name must end in .{name}", field=f"--{name}", value=str(path), remedy=remedy)
             check_folder(path)
 
