@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field
 
 from nuno_cloth.models.placement import Velocity
-from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio
+from nuno_cloth.quantities import AirDensity, Angle, Newtons, Ratio, Time
 from nuno_kernels import kernel
 from nuno_kernels.forces.vertex import vertex_force
 from nuno_kernels.lanes import (
@@ -38,6 +39,7 @@ from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Bool, Fabric, Float, Int
 from nuno_schemas.plugin import Config
 from nuno_schemas.system import Term
+from nuno_schemas.vectors import face_areas
 
 # Wind on triangles and on particles.
 #
@@ -68,7 +70,7 @@ class WindRuns(NamedTuple):
     task   (m, 7) int64         first vertices: the edge's two, the third corner where the first
                                 vertex is even, and where it is odd; triangles; a column that is not
                                 used; and the corners to add to (bit c for corner c)
-    velocity    (3,)            of the air [m/s]
+    velocity    (3,)            of the air [m/s]; (k, 3) in a Gust, which has times (k,) [s] as well
     normal      rho Cn / 12 [kg/m^3]: halves of the law and of m, a third per corner
     tangential  rho Ct / 12 [kg/m^3]
     """
@@ -94,6 +96,28 @@ class WindLists(NamedTuple):
     tangential: float
 
 
+class GustRuns(NamedTuple):
+    """WindRuns whose air changes over time."""
+
+    start: Long
+    task: Long
+    velocity: Float
+    normal: float
+    tangential: float
+    times: Float
+
+
+class GustLists(NamedTuple):
+    """WindLists whose air changes over time."""
+
+    start: Long
+    corners: Int
+    velocity: Float
+    normal: float
+    tangential: float
+    times: Float
+
+
 @vertex_force("particle_wind")
 class ParticleWind(NamedTuple):
     """The same force (3,) [N] on every particle."""
@@ -112,6 +136,17 @@ Air = tuple[tuple[float, float, float], float, float]
 def read_air(wind: WindRuns | WindLists) -> Air:
     """Return the air as numbers: inside a loop, reading a tuple's array counts a reference."""
     return (wind.velocity[0], wind.velocity[1], wind.velocity[2]), wind.normal, wind.tangential
+
+
+@kernel
+def air_at(gust: GustRuns | GustLists, t: float) -> Air:
+    """Return the air at the time t [s]: linear between its times, and held before and after."""
+    i, at, u = 1, gust.times, gust.velocity
+    while i + 1 < at.shape[0] and at[i] < t:
+        i += 1
+    s = min(1.0, max(0.0, (t - at[i - 1]) / (at[i] - at[i - 1])))
+    a, b = (u[i - 1, 0], u[i - 1, 1], u[i - 1, 2]), (u[i, 0], u[i, 1], u[i, 2])
+    return plus(times(1.0 - s, a), times(s, b)), gust.normal, gust.tangential
 
 
 @kernel
@@ -137,9 +172,9 @@ def third_corner(x: Float, even: int, odd: int, m: int, i: int) -> Triple:
 
 
 @kernel
-def add_wind_runs(runs: WindRuns, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+def add_runs(air: Air, start: Long, task: Long, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the wind on a block's runs to its forces (3, w), in the way of add_hinge_runs."""
-    air, buffer, start, task = read_air(runs), np.empty((3, LONGEST + WIDTH)), runs.start, runs.task
+    buffer = np.empty((3, LONGEST + WIDTH))
     for t in range(start[block], start[block + 1]):
         i, j, even, odd, count, mark = task[t, 0], task[t, 1], task[t, 2], task[t, 3], task[t, 4], task[t, 6]
         for q in range(0, count, WIDTH):
@@ -165,9 +200,8 @@ def add_wind_runs(runs: WindRuns, block: int, origin: int, x: Float, v: Float, f
 
 
 @kernel
-def add_wind_lists(lists: WindLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+def add_lists(air: Air, start: Long, corners: Int, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
     """Add the wind on a block's listed triangles to its forces (3, w)."""
-    air, start, corners = read_air(lists), lists.start, lists.corners
     for p in range(start[block], start[block + 1], WIDTH):
         f = wind_forces(
             gather_triple(x, corners, 0, p), gather_triple(x, corners, 1, p), gather_triple(x, corners, 2, p),
@@ -179,24 +213,54 @@ def add_wind_lists(lists: WindLists, block: int, origin: int, x: Float, v: Float
                 add_at(force, row, corners, 3 + c, p, f[row])
 
 
+@kernel
+def add_wind_runs(wind: WindRuns, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    add_runs(read_air(wind), wind.start, wind.task, block, origin, x, v, force)
+
+
+@kernel
+def add_wind_lists(wind: WindLists, block: int, origin: int, x: Float, v: Float, force: Float) -> None:
+    add_lists(read_air(wind), wind.start, wind.corners, block, origin, x, v, force)
+
+
+@kernel
+def add_gust_runs(gust: GustRuns, block: int, origin: int, x: Float, v: Float, force: Float, t: float) -> None:
+    add_runs(air_at(gust, t), gust.start, gust.task, block, origin, x, v, force)
+
+
+@kernel
+def add_gust_lists(gust: GustLists, block: int, origin: int, x: Float, v: Float, force: Float, t: float) -> None:
+    add_lists(air_at(gust, t), gust.start, gust.corners, block, origin, x, v, force)
+
+
 register(WindRuns, "wind", reads_velocity=lambda wind: True, block=add_wind_runs)
 register(WindLists, "wind", reads_velocity=lambda wind: True, block=add_wind_lists)
+register(GustRuns, "wind", reads_velocity=lambda wind: True, block=add_gust_runs)
+register(GustLists, "wind", reads_velocity=lambda wind: True, block=add_gust_lists)
 
 
 def prepare_wind(
-    faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float
-) -> tuple[WindRuns | WindLists, ...]:
-    """Return the wind on faces (f, 3) of a mesh of `vertices`, for air of velocity (3,) [m/s] and density [kg/m^3] and
-    the two drag coefficients.
-    """
+    faces: Int,
+    vertices: int,
+    velocity: Float,
+    density: float,
+    normal: float,
+    tangential: float,
+    times: Float | None = None,
+) -> tuple[WindRuns | WindLists | GustRuns | GustLists, ...]:
+    """Return the wind on faces (f, 3) of a mesh of `vertices`, for air of velocity (3,) [m/s], or (k, 3) at `times`
+    (k,) [s], and density [kg/m^3] and the two drag coefficients.
+    """  # fmt: skip
     on_edge, runs_found = _find_runs(np.asarray(faces, np.int64), vertices)
     air: Any = np.array(velocity, np.float64), density * normal / 12, density * tangential / 12
-    runs = (WindRuns(*_pack_runs(runs_found, vertices), *air),) if runs_found.size else ()
+    of_runs: Any = WindRuns if times is None else partial(GustRuns, times=times)
+    of_lists: Any = WindLists if times is None else partial(GustLists, times=times)
+    runs = (of_runs(*_pack_runs(runs_found, vertices), *air),) if runs_found.size else ()
     if on_edge.all():
         return runs
     rest = faces[~on_edge].astype(np.int64)
     in_order = np.ascontiguousarray(rest[np.lexsort((rest.max(axis=1), rest.min(axis=1)))].T)
-    return *runs, WindLists(*list_copies(in_order, vertices)[1:], *air)
+    return *runs, of_lists(*list_copies(in_order, vertices)[1:], *air)
 
 
 def _find_runs(faces: Long, vertices: int) -> tuple[Bool, Long]:
@@ -241,6 +305,13 @@ def _pack_runs(runs: Long, vertices: int) -> tuple[Long, Long]:
     return start, task
 
 
+class Gusts(Config):
+    """A velocity over time: linear between the times, and held before and after them."""
+
+    times: list[Time] = Field(min_length=2, description="at which it is given [s], increasing")
+    values: list[Velocity] = Field(description="the velocity at each of them [m/s]")
+
+
 class WindConfig(Config):
     """The air, and the drag coefficients of a flat plate in it.
 
@@ -249,7 +320,11 @@ class WindConfig(Config):
     sqrt(Re), Blasius).
     """
 
-    velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="of the air [m/s]; zero is still air: drag alone")
+    velocity: Velocity | Gusts = Field(
+        default=(0.0, 0.0, 0.0),
+        description="of the air [m/s]; zero is still air: drag alone; or {times, values}: over time",
+        examples=[[1.0, 0.0, 0.0], {"times": [0.0, 1.0], "values": [[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]}],
+    )
     density: AirDensity = Field(default=1.2, description="of the air [kg/m^3]")
     normal: Ratio = Field(default=1.17, description="drag coefficient of cloth across the flow")
     tangential: Ratio = Field(
@@ -265,15 +340,30 @@ class Wind:
     Config: ClassVar[type[BaseModel]] = WindConfig
 
     def prepare(self, config: WindConfig, fabric: Fabric, seed: int) -> Term:
-        """Return the wind's term. Raises BadInput for a fabric without faces."""
+        """Return the wind's term. Raises BadInput for a fabric without faces, and for times that do not increase."""
         if fabric.faces.shape[0] == 0:
             raise BadInput(
                 f"wind blows on triangles, and {fabric.name!r} has none",
                 remedy="use particle_wind, which pushes particles",
             )
-        velocity = np.asarray(config.velocity, np.float64)
-        data = prepare_wind(fabric.faces, fabric.number, velocity, config.density, config.normal, config.tangential)
-        return Term("wind", data)
+        air = config.density, config.normal, config.tangential
+        if not isinstance(gusts := config.velocity, Gusts):
+            return Term("wind", prepare_wind(fabric.faces, fabric.number, np.asarray(gusts, np.float64), *air))
+        times, values = np.asarray(gusts.times, np.float64), np.asarray(gusts.values, np.float64)
+        if len(values) != len(times):
+            raise BadInput(f"{len(values)} values for {len(times)} times", field="velocity.values",
+                           limit="one for each time")  # fmt: skip
+        if (late := np.flatnonzero(np.diff(times) <= 0.0)).size:
+            k = int(late[0]) + 1
+            raise BadInput("times must increase", field=f"velocity.times[{k}]", value=times[k],
+                           limit=f"> {times[k - 1]:g} s")  # fmt: skip
+        data = prepare_wind(fabric.faces, fabric.number, values, *air, times)
+        # Steps are chosen at the start, where the air may be still: the drag on each vertex grows by twice its speed.
+        area = np.bincount(fabric.faces.reshape(-1), np.repeat(face_areas(fabric.position[fabric.faces]), 3),
+                           fabric.number) / 3.0  # fmt: skip
+        heavy = np.where(fabric.pinned, np.inf, fabric.mass)
+        drag = config.density * max(config.normal, config.tangential) * float((area / heavy).max())
+        return Term("wind", data, damping_rate=drag * float(np.linalg.norm(values, axis=1).max()))
 
 
 class ParticleWindConfig(Config):

@@ -53,15 +53,15 @@ def start(system: System) -> State:
     return State(system.fabric.position.copy(), system.fabric.velocity.copy())
 
 
-def wind_force(wind: Any, x: Float, v: Float) -> Float:
-    """(n, 3) force [N] of prepared wind at x, v (n, 3), block by block."""
+def wind_force(wind: Any, x: Float, v: Float, *t: float) -> Float:
+    """(n, 3) force [N] of prepared wind at x, v (n, 3), of gusts at the time t [s], block by block."""
     rows, moving, out = to_rows(x), to_rows(v), np.zeros((3, x.shape[0]))
     for block in range(block_count(x.shape[0])):
         own = slice(block * BLOCK, min((block + 1) * BLOCK, x.shape[0]))
         force = np.zeros((3, own.stop - own.start + PADDING))
         for part in wind:
             add = kernels_of(part).find("block")
-            add(part, block, own.start, rows, moving, force)
+            add(part, block, own.start, rows, moving, force, *t)
         out[:, own] = force[:, :-PADDING]
     return np.ascontiguousarray(out.T)
 

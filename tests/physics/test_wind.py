@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from nets import wind_force
+from scipy.integrate import solve_ivp
 
+from nuno.plugin_contract import registry
 from nuno_cloth.models.sheet import Sheet, SheetConfig
 from nuno_cloth.models.skirt import Skirt, SkirtConfig
 from nuno_cloth.wind import (
@@ -20,7 +22,8 @@ from nuno_cloth.wind import (
 )
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Fabric, Float
+from nuno_schemas.fabric import Fabric, Float, State
+from nuno_schemas.system import System
 
 AIR = 1.2
 
@@ -143,6 +146,59 @@ def test_falling_sheet_reaches_its_terminal_velocity() -> None:
     t = dt * np.arange(1, 1001)
     assert np.array(speeds) == pytest.approx(terminal * np.tanh(gravity * t / terminal), rel=1e-5)
     assert speeds[-1] == pytest.approx(terminal, rel=1e-3)
+
+
+GUSTS = {"times": [0.1, 0.3, 0.4], "values": [[0.0, 0.0, 0.0], [4.0, 6.0, -2.0], [0.0, 3.0, 1.0]]}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_a_gust_is_at_any_time_the_wind_between_its_times(name: str) -> None:
+    """To the last bit, in runs and in lists, and held before and after them."""
+    fabric, generator = MESHES[name], np.random.default_rng(3)
+    if name == "narrow grid":
+        fabric = replace(fabric, faces=generator.permutation(fabric.faces))
+    v = generator.normal(0, 1, fabric.position.shape)
+    gusts = Wind().prepare(WindConfig.model_validate({"velocity": GUSTS}), fabric, 0).data
+    times, values = np.array(GUSTS["times"]), np.array(GUSTS["values"])
+    for t, i, s in ((-1.0, 0, 0.0), (0.1, 0, 0.0), (0.15, 0, None), (0.3, 0, 1.0), (0.38, 1, None), (9.0, 1, 1.0)):
+        share = (t - times[i]) / (times[i + 1] - times[i]) if s is None else s
+        still = tuple((1.0 - share) * values[i] + share * values[i + 1])
+        expected = wind_force(Wind().prepare(WindConfig(velocity=still), fabric, 0).data, fabric.position, v)
+        assert np.array_equal(wind_force(gusts, fabric.position, v, t), expected)
+
+
+@pytest.mark.parametrize("solver", ["symplectic_euler", "respa", "rk4", "implicit_euler", "xpbd", "leapfrog"])
+def test_a_gust_carries_a_sheet_along(solver: str) -> None:
+    """A free sheet across a wind that rises: m v' = rho A Cn (u(t) - v)^2 / 2. The error of its way falls with the
+    step.
+    """
+    gust = {"times": [0.0, 0.2], "values": [[0.0, 0.0, 0.0], [0.0, 8.0, 0.0]]}
+    fabric, config = sheet(), WindConfig.model_validate({"velocity": gust, "density": AIR, "tangential": 0.0})
+    # With as much mass at each vertex as wind, it stays flat.
+    fabric = replace(fabric, mass=np.bincount(fabric.faces.reshape(-1), minlength=fabric.number) * 1e-4)
+    system, plugin = (
+        System(fabric, np.zeros(3), 0.0, (Wind().prepare(config, fabric, 0),)),
+        registry.load("nuno.integrators", solver),
+    )
+    push, off = 0.5 * AIR * 1.17 * 0.2 / fabric.mass.sum(), []
+    law = solve_ivp(lambda t, y: [y[1], push * (40.0 * t - y[1]) ** 2], (0.0, 0.2), [0.0, 0.0], rtol=1e-10, atol=1e-12)
+    for steps in (50, 100):
+        state = State(fabric.position.copy(), fabric.velocity.copy())
+        memory = plugin.prepare(plugin.Config(**({"every": 2} if solver == "respa" else {})), system, state)
+        for _ in range(10):
+            assert plugin.advance(system, state, memory, None, steps, 0.02 / steps).status == "ok"
+        off.append(abs(float((state.x - fabric.position)[:, 1].mean()) / law.y[0, -1] - 1.0))
+    assert off[0] < 0.01 and off[1] < max(0.51 * off[0], 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("times", "field"), [([0.0, 1.0, 0.5], "velocity.times[2]"), ([0.0, 1.0, 2.0, 3.0], "velocity.values")]
+)
+def test_gusts_that_make_no_sense_are_refused(times: list[float], field: str) -> None:
+    config = WindConfig.model_validate({"velocity": GUSTS | {"times": times}})
+    with pytest.raises(BadInput) as caught:
+        Wind().prepare(config, sheet(), 0)
+    assert caught.value.field == field
 
 
 def test_wind_turns_with_the_world() -> None:

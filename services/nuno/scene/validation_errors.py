@@ -118,11 +118,12 @@ def explain(error: ValidationError, data: Any, prefix: Path, file: str, lines: M
 def _is_consequence(place: Path, error: Any, errors: Sequence[tuple[Path, Any]]) -> bool:
     """Return whether an error only follows from another one inside the same value.
 
-    Such an error is that a list or mapping is no name or number, as another kind of the value would be; or that a list
-    is too short, which does not count its invalid items.
+    Such an error is that a list or mapping is no name or number, list or mapping, as another kind of the value would
+    be; or that a list is too short, which does not count its invalid items.
     """
     kind = str(error["type"])
-    plain = kind in ("literal_error", "too_short") or kind.removesuffix("_type") in ("int", "float", "bool", "string")
+    kinds = ("int", "float", "bool", "string", "list", "tuple", "dict", "model")
+    plain = kind in ("literal_error", "too_short") or kind.removesuffix("_type") in kinds
     plain = plain or "must be a quantity" in str(error["msg"])
     inside = any(len(other) > len(place) and other[: len(place)] == place for other, _ in errors)
     return plain and inside and isinstance(error.get("input"), (dict, list))
