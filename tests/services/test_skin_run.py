@@ -106,12 +106,11 @@ def test_a_run_is_recorded_drawn_and_simulated_again_with_the_same_bits(
 def test_contact_by_distance_refuses_a_skin_before_anything_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for contact in ("penalty", "sliding"):
-        scene = write_scene(tmp_path, cloth_contact={"plugin": "offset"}, contact={"plugin": contact})
-        assert main(["run", str(scene), "--no-view"]) == 2
-        said = capsys.readouterr().err
-        assert "bend" in said
-        assert "bodies: [wearer]" in said
+    scene = write_scene(tmp_path, cloth_contact={"plugin": "offset"}, contact={"plugin": "penalty"})
+    assert main(["run", str(scene), "--no-view"]) == 2
+    said = capsys.readouterr().err
+    assert "bend" in said
+    assert "bodies: [wearer]" in said
 
 
 @pytest.mark.full

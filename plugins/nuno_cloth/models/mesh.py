@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, Field
+from pydantic import BaseModel, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from nuno_cloth.fabrics.material import FABRIC, FabricChoice, HandSet, resolve
 from nuno_cloth.fabrics.presets import Material
@@ -16,6 +19,7 @@ from nuno_cloth.models.placement import (
     STILL,
     TEXTURE,
     VELOCITY,
+    Attach,
     Direction,
     Point,
     Rotation,
@@ -25,14 +29,18 @@ from nuno_cloth.models.placement import (
 from nuno_cloth.models.triangles import ACROSS, Edges, find_edges, second_axis
 from nuno_cloth.quantities import Scale
 from nuno_geometry.mesh_files.mesh import join_vertices, load_mesh, material_images
-from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Bool, Corners, Fabric, Float, Int
+from nuno_schemas.errors import BadInput, nearest
+from nuno_schemas.fabric import Binding, Bool, Corners, Fabric, Float, Int
 from nuno_schemas.plugin import Config, Files
+from nuno_schemas.reading import read_as
 from nuno_schemas.vectors import face_areas, turn
 
 KINDS = ("obj", "ply", "stl")
 SEEN_ACROSS = 0.1
 """Share of the cloth that its warp may be normal to without a word."""
+LARGEST_GROUPS = 256 * 2**20
+TAKEN = 0.5
+"""Weight from which on a vertex belongs to a group."""
 FARTHEST = 1e100
 """Squares and cubes of coordinates beyond this [m] overflow."""
 
@@ -44,17 +52,7 @@ class Box(Config):
     high: Point = Field(description="corner with the largest x, y and z, in the world [m]")
 
 
-def _not_a_name(pin: object) -> object:
-    """Refuse names, which only a sheet's rows and edges have."""
-    if isinstance(pin, str):
-        raise ValueError(
-            "a mesh has no pins with names; give vertex numbers, such as pin: [0, 7], "
-            "or boxes, such as pin: [{low: [-1, 0.9, -1], high: [1, 2, 1]}]"
-        )
-    return pin
-
-
-Pin = Annotated[int | Box, BeforeValidator(_not_a_name)]
+Pin = int | Box | Annotated[str, Field(min_length=1)]
 
 
 class MeshConfig(Config):
@@ -77,12 +75,31 @@ class MeshConfig(Config):
     )
     pin: tuple[Pin, ...] = Field(
         default=(),
-        description="vertex numbers of the file, counted from 0, also where it is merged, or boxes of the world "
-        "{low, high} [m]; the vertices of an STL are counted as their places first appear",
+        description="vertex numbers of the file, counted from 0, also where it is merged, boxes of the world "
+        "{low, high} [m], or names of `groups`; the vertices of an STL are counted as their places first appear",
+        examples=[[0, 7]],
+    )
+    groups: str | None = Field(
+        default=None,
+        description="a JSON file beside the scene with groups of the file's vertices: {name: [number, ...]}, or "
+        "{name: {number: weight}}, of which those from 0.5 on are taken",
+    )
+    attach: Attach | None = Field(
+        default=None,
+        description="the body and frame that its pinned vertices follow; at rest in the world unless given",
     )
     fabric: FabricChoice = Field(default="denim", description=FABRIC)
     tension: Tension = Field(default="auto", description=TENSION)
     texture: str | None = Field(default=None, description=TEXTURE)
+
+    @model_validator(mode="after")
+    def _names_are_of_groups(self) -> MeshConfig:
+        for i, pin in enumerate(self.pin if self.groups is None else ()):
+            if isinstance(pin, str):
+                problem = "a mesh has no pins with names; give vertex numbers, such as pin: [0, 7], or boxes, such as "
+                problem += "pin: [{low: [-1, 0.9, -1], high: [1, 2, 1]}], or the names' vertices in groups: FILE.json"
+                raise PydanticCustomError("no_groups", problem, {"inside": ("pin", i)})
+        return self
 
 
 class Mesh(OfTriangles):
@@ -138,10 +155,17 @@ class Mesh(OfTriangles):
             raise BadInput("too far away", str(path), field=f"vertex {where}", value=at, limit=limit, remedy=remedy)
         material = resolve(config.fabric)
         warp = turn(matrix, np.asarray(config.warp))
-        held = pin_mesh(config.pin, x, numbers if merged is None else merged)
+        groups = {} if config.groups is None else read_groups(files.resolve(config.groups))
+        held = pin_mesh(config.pin, x, numbers if merged is None else merged, groups)
         elements = build_elements(material, x, faces, edges, warp, tension=config.tension, held=held)
         more = lay_out(path, len(x), faces, uv, config.texture is not None)
         more |= {"texture": find_texture(config.texture, files), "merged": merged}
+        if config.attach is not None:
+            if not held.any():
+                problem, remedy = "nothing is pinned that could follow a body", "pin: [NAME], of a group"
+                raise BadInput(problem, field="attach", remedy=remedy)
+            places = np.flatnonzero(held).astype(np.int32)
+            more["bindings"] = (Binding(places, config.attach.body, config.attach.frame),)
         # Without inner edges no spring shows the bending stiffness.
         origin = {"k_bend": material.bending[0]} if isinstance(material, HandSet) and not len(edges.inner) else {}
         return elements.fabric(self.name, x, held, config.velocity, origin=origin, **more)
@@ -226,21 +250,39 @@ def check_mesh(path: Path, x: Float, faces: Int, edges: Edges, numbers: Int) -> 
     refuse(twisted, "edge", edges.pairs, "neighbouring triangles face opposite ways", "make the normals consistent")
 
 
-def pin_mesh(pins: tuple[int | Box, ...], x: Float, vertices: Int) -> Bool:
+def read_groups(path: Path) -> dict[str, list[int]]:
+    """Return the numbers of vertices of each group of a JSON file. Raises BadInput."""
+
+    def read(data: bytes) -> dict[str, list[int]]:
+        found = {}
+        for name, group in json.loads(data).items():
+            numbers = [n for n, w in group.items() if float(w) >= TAKEN] if isinstance(group, dict) else list(group)
+            found[name] = [int(number) for number in numbers]
+        return found
+
+    return read_as(path, "groups of vertices", read, LARGEST_GROUPS)
+
+
+def pin_mesh(pins: tuple[Pin, ...], x: Float, vertices: Int, groups: Mapping[str, Sequence[int]]) -> Bool:
     """Return which vertices (n,) are pinned; x (n, 3) in the world [m], `vertices` (g,) by number. Raises BadInput."""
     pinned = np.zeros(len(x), np.bool_)
     for index, pin in enumerate(pins):
-        if isinstance(pin, int):
-            if not 0 <= pin < len(vertices):
+        field = f"pin[{index}]"
+        if isinstance(pin, Box):
+            inside = ((x >= np.asarray(pin.low)) & (x <= np.asarray(pin.high))).all(axis=1)
+            if not inside.any():
+                remedy = "corners are in the world, low before high"
+                raise BadInput("the box holds no vertex", field=field, remedy=remedy)
+            pinned |= inside
+            continue
+        if isinstance(pin, str) and not groups.get(pin):
+            problem = "the group holds no vertex" if pin in groups else "no such group of vertices"
+            remedy = "leave it out, or pin a box" if pin in groups else nearest(pin, list(groups))
+            raise BadInput(problem, field=field, value=pin, remedy=remedy)
+        for number in groups[pin] if isinstance(pin, str) else [pin]:
+            if not 0 <= number < len(vertices):
                 limit = f"0 to {len(vertices) - 1}"
                 remedy = "take the file's numbers, counted from 0, or a box: {low: [x, y, z], high: [x, y, z]}"
-                raise BadInput("the file has no such vertex", None, None, f"pin[{index}]", pin, limit, remedy)
-            pinned[vertices[pin]] = True
-            continue
-        inside = ((x >= np.asarray(pin.low)) & (x <= np.asarray(pin.high))).all(axis=1)
-        if not inside.any():
-            raise BadInput(
-                "the box holds no vertex", field=f"pin[{index}]", remedy="corners are in the world, low before high"
-            )
-        pinned |= inside
+                raise BadInput("the file has no such vertex", None, None, field, number, limit, remedy)
+            pinned[vertices[number]] = True
     return pinned
