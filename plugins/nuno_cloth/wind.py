@@ -70,7 +70,7 @@ class WindRuns(NamedTuple):
     task   (m, 7) int64         first vertices: the edge's two, the third corner where the first
                                 vertex is even, and where it is odd; triangles; a column that is not
                                 used; and the corners to add to (bit c for corner c)
-    velocity    (3,)            of the air [m/s]; (k, 3) in a Gust, which has times (k,) [s] as well
+    velocity    (3,)            of the air [m/s]; (k, 3) in GustRuns, at times (k,) [s]
     normal      rho Cn / 12 [kg/m^3]: halves of the law and of m, a third per corner
     tangential  rho Ct / 12 [kg/m^3]
     """
@@ -240,17 +240,12 @@ register(GustLists, "wind", reads_velocity=lambda wind: True, block=add_gust_lis
 
 
 def prepare_wind(
-    faces: Int,
-    vertices: int,
-    velocity: Float,
-    density: float,
-    normal: float,
-    tangential: float,
+    faces: Int, vertices: int, velocity: Float, density: float, normal: float, tangential: float,
     times: Float | None = None,
-) -> tuple[WindRuns | WindLists | GustRuns | GustLists, ...]:
+) -> tuple[WindRuns | WindLists | GustRuns | GustLists, ...]:  # fmt: skip
     """Return the wind on faces (f, 3) of a mesh of `vertices`, for air of velocity (3,) [m/s], or (k, 3) at `times`
     (k,) [s], and density [kg/m^3] and the two drag coefficients.
-    """  # fmt: skip
+    """
     on_edge, runs_found = _find_runs(np.asarray(faces, np.int64), vertices)
     air: Any = np.array(velocity, np.float64), density * normal / 12, density * tangential / 12
     of_runs: Any = WindRuns if times is None else partial(GustRuns, times=times)
@@ -358,7 +353,7 @@ class Wind:
             raise BadInput("times must increase", field=f"velocity.times[{k}]", value=times[k],
                            limit=f"> {times[k - 1]:g} s")  # fmt: skip
         data = prepare_wind(fabric.faces, fabric.number, values, *air, times)
-        # Steps are chosen at the start, where the air may be still: the drag on each vertex grows by twice its speed.
+        # Steps are chosen at the start, where the air may be still. The law's rate at a vertex is rho A Cn |u| / m.
         area = np.bincount(fabric.faces.reshape(-1), np.repeat(face_areas(fabric.position[fabric.faces]), 3),
                            fabric.number) / 3.0  # fmt: skip
         heavy = np.where(fabric.pinned, np.inf, fabric.mass)
