@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,8 +37,10 @@ REPEATED = "EXT_mesh_gpu_instancing"
 class Part:
     """A primitive of a node in the scene.
 
-    node: its number; points (n, 3) [m]; faces (f, 3); joint (n, w) int64 the nodes that carry each point and weight (n,
-    w) how much, summing to 1; None of a mesh without a skin
+    node: its number; points (n, 3) [m], as posed, or as the file has them; faces (f, 3); joint (n, w) int64 the nodes
+    that carry each point and weight (n, w) how much, summing to 1; None of a mesh without a skin. targets: (n, 3) each,
+    the shifts of morph targets; morph: how much of each there is unless the node says; bind: the inverse bind matrix
+    (4, 4) of each node that carries it
     """
 
     node: int
@@ -46,6 +48,28 @@ class Part:
     faces: NDArray[np.int64]
     joint: NDArray[np.int64] | None
     weight: Float | None
+    targets: tuple[Float, ...]
+    morph: tuple[float, ...]
+    bind: Mapping[int, Float]
+
+    def place(self, world: Mapping[int, Float], nodes: Any) -> Float:
+        """Return its points (n, 3) [m], which are the file's, as the weights of its node in the JSON morph them and the
+        nodes at `world` (4, 4) each carry them: by the sum of their matrices.
+        """
+        points = self.points
+        for amount, target in zip(nodes[self.node].get("weights", self.morph), self.targets, strict=False):
+            if amount:
+                points = points + amount * target
+        if self.joint is None or self.weight is None:
+            return np.asarray(points @ world[self.node][:3, :3].T + world[self.node][:3, 3])
+        moved = np.zeros((max(self.bind) + 1, 3, 4))
+        for node, bound in self.bind.items():
+            moved[node] = (world[node] @ bound)[:3]
+        placed = np.zeros_like(points)
+        for share, of in zip(self.weight.T, self.joint.T, strict=True):
+            turned = np.einsum("nab,nb->na", moved[of, :, :3], points) + moved[of, :, 3]
+            placed += share[:, None] * turned
+        return placed
 
 
 def read_glb(data: bytes) -> RawMesh:
@@ -56,7 +80,7 @@ def read_glb(data: bytes) -> RawMesh:
     return join_parts(list(read_parts(*open_glb(data))))
 
 
-def join_parts(parts: list[Part]) -> RawMesh:
+def join_parts(parts: Sequence[Part]) -> RawMesh:
     """Join all parts into one mesh, in order."""
     before = np.cumsum([0, *(len(part.points) for part in parts)])
     faces = [part.faces + at for part, at in zip(parts, before, strict=False)]
@@ -96,6 +120,14 @@ def read_parts(document: Any, data: bytes) -> Iterator[Part]:
     Raises LookupError, TypeError or ValueError for what does not hold together.
     """
     nodes = document.get("nodes", [])
+    world = find_places(nodes)
+    for part in read_primitives(document, data):
+        yield replace(part, points=part.place(world, nodes))
+
+
+def read_primitives(document: Any, data: bytes) -> Iterator[Part]:
+    """Yield the parts as the file has them, as `read_parts` does with those that are posed."""
+    nodes = document.get("nodes", [])
     world, shown = find_places(nodes), _shown(document)
     for k in (k for k in shown if "mesh" in nodes[k]):
         mesh = document["meshes"][nodes[k]["mesh"]]
@@ -104,19 +136,19 @@ def read_parts(document: Any, data: bytes) -> Iterator[Part]:
                 continue  # points and lines
             named = part["attributes"]
             points = read_array(document, data, named["POSITION"])
-            morph = nodes[k].get("weights", mesh.get("weights", ()))
-            for amount, target in zip(morph, part.get("targets", ()), strict=False):
-                if amount and "POSITION" in target:
-                    points = points + amount * read_array(document, data, target["POSITION"])
+            targets = tuple(
+                read_array(document, data, target["POSITION"]) if "POSITION" in target else 0.0 * points
+                for target in part.get("targets", ())
+            )
             own = np.arange(len(points))
             if "indices" in part:
                 own = read_array(document, data, part["indices"]).astype(np.int64).ravel()
             if not 0 <= own.min(initial=0) <= own.max(initial=0) < len(points):
                 raise ValueError("triangles of vertices that are not there")
-            faces = _faces(own, part.get("mode", 4))
+            faces, morph = _faces(own, part.get("mode", 4)), tuple(mesh.get("weights", ()))
             if "skin" not in nodes[k]:
                 faces = faces[:, ::-1] if np.linalg.det(world[k][:3, :3]) < 0.0 else faces  # a mirrored node
-                yield Part(k, points @ world[k][:3, :3].T + world[k][:3, 3], faces, None, None)
+                yield Part(k, points, faces, None, None, targets, morph, {})
                 continue
             skin = document["skins"][nodes[k]["skin"]]
             carriers = np.array(skin["joints"], np.int64)
@@ -126,17 +158,13 @@ def read_parts(document: Any, data: bytes) -> Iterator[Part]:
             total = weight.sum(axis=1, keepdims=True)
             if not (total > 0.0).all():
                 raise ValueError(f"no joint carries the vertex {place_of(points[int(total.argmin())])}")
-            weight = weight / total
-            moved = np.stack([world[node] for node in carriers.tolist()])
+            bound = np.tile(np.eye(4), (len(carriers), 1, 1))
             if "inverseBindMatrices" in skin:
                 # Matrices are stored column by column.
-                bound = read_array(document, data, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
-                moved = moved @ bound[: len(carriers)].transpose(0, 2, 1)
-            placed = np.zeros_like(points)
-            for share, of in zip(weight.T, joint.T, strict=True):
-                turned = np.einsum("nab,nb->na", moved[of, :3, :3], points) + moved[of, :3, 3]
-                placed += share[:, None] * turned
-            yield Part(k, placed, faces, carriers[joint], weight)
+                bound = read_array(document, data, skin["inverseBindMatrices"]).reshape(-1, 4, 4)[: len(carriers)]
+                bound = bound.transpose(0, 2, 1)
+            binding = dict(zip(skin["joints"], bound, strict=True))
+            yield Part(k, points, faces, carriers[joint], weight / total, targets, morph, binding)
 
 
 def _shown(document: Any) -> list[int]:

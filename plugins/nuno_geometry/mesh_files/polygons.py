@@ -7,7 +7,7 @@ import math
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -43,13 +43,15 @@ class RawMesh:
     """A file's triangles, with its own numbers and in its order.
 
     points (n, 3) in the file's unit, also those of no triangle; faces (f, 3); uv (f, 3, 2) texture coordinates of each
-    corner, v upwards, NaN where it has none; None where none has any; lines: of each line of an OBJ file the points
+    corner, v upwards, NaN where it has none; None where none has any; lines: of each line of an OBJ file the points;
+    corners: of an OBJ or PLY file the points (c,) of all polygons' corners
     """
 
     points: Float
     faces: Int
     uv: NDArray[np.float32] | None = None
     lines: tuple[Places, ...] = ()
+    corners: Places = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def plain(data: bytes) -> bytes:
@@ -266,7 +268,7 @@ def read_obj(data: bytes) -> RawMesh:
     x, corners = np.array(points, np.float64).reshape(-1, 3), np.array(corner, np.int64)
     place = triangulate(x, corners, np.array(count, np.int64), lines)
     uv = np.array(texture, np.float32)[np.array(drawn, np.int64)[place]] if any(drawn) else None
-    return RawMesh(x, corners[place].astype(np.int32), uv, tuple(np.array(stroke) for stroke in strokes))
+    return RawMesh(x, corners[place].astype(np.int32), uv, tuple(np.array(stroke) for stroke in strokes), corners)
 
 
 def _index(word: bytes, available: int, what: str) -> int:
@@ -340,7 +342,7 @@ def read_ply(data: bytes) -> RawMesh:
     for u, v in DRAWN:
         if u in vertex and v in vertex:
             uv = np.stack([vertex[u][0], vertex[v][0]], axis=1)[faces].astype(np.float32)
-    return RawMesh(x, faces.astype(np.int32), uv)
+    return RawMesh(x, faces.astype(np.int32), uv, corners=corner.astype(np.int64))
 
 
 def _header(lines: list[str]) -> tuple[str, dict[str, tuple[int, list[Property]]]]:
