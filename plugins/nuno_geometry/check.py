@@ -11,7 +11,7 @@ from nuno_geometry.tree import DEPTH, Tree, build_tree
 from nuno_kernels import kernel, parallel_kernel, threads_available
 from nuno_kernels.lanes import WIDTH, first_lane, higher, lanes_up_to, load
 from nuno_schemas.errors import BadInput
-from nuno_schemas.fabric import Float, Int
+from nuno_schemas.fabric import Bool, Float, Int
 
 BLOCK = 64
 ROUNDING = 1e-14
@@ -48,6 +48,18 @@ def check_closed(x: Float, faces: Int, scale: float | None = None) -> None:
     if volume(x, faces) <= 0.0:
         raise BadInput("the mesh is inside out", value=f"a volume of {volume(x, faces):.3g} m^3",
                        limit="> 0", remedy="mend: true turns it")  # fmt: skip
+
+
+def closed_parts(faces: Int) -> Bool:
+    """Return which faces (f, 3) are of a connected part of the surface that has two of them at each edge: only such
+    parts have an inside.
+    """
+    numbers, pairs = edge_numbers(faces)
+    opened = np.zeros(int(faces.max(initial=-1)) + 1, bool)
+    opened[pairs[np.bincount(numbers.reshape(-1), minlength=len(pairs)) != 2]] = True
+    while (mixed := opened[faces].any(axis=1) & ~opened[faces].all(axis=1)).any():
+        opened[faces[mixed]] = True
+    return np.asarray(~opened[faces[:, 0]])
 
 
 def volume(x: Float, faces: Int) -> float:

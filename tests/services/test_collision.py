@@ -238,7 +238,7 @@ def test_the_distance_to_a_mesh_is_that_to_all_its_triangles_by_looking_at_few(m
     box = trimesh.creation.box((8.0, 6.0, 10.0))
     fan = trimesh.Trimesh([[2, 0, 0], [3, 0, 0], [2.5, 1e-9, 0], [2.5, 0, 2]], [[0, 1, 2], [2, 1, 3]], process=False)
     mesh = trimesh.util.concatenate([ball, box, fan])
-    solid = Solid(np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int32))
+    solid = Solid(np.ascontiguousarray(mesh.vertices), *2 * (np.ascontiguousarray(mesh.faces, np.int32),))
     rng, looked = np.random.default_rng(4), []
     points = np.concatenate(
         [rng.uniform(-6, 6, (80, 3)), 0.99 * ball.vertices[:80], mesh.vertices[-9:], np.zeros((1, 3))]
@@ -269,7 +269,7 @@ def test_inside_is_where_a_mesh_goes_round_as_solid_angles_have_it() -> None:
     for mesh, points in (((x, faces), around), (joined, corner)):
         turns = np.array([turns_about(p, mesh[0][mesh[1]]) for p in points])
         sure = np.abs(turns - turns.round()) < 1e-6  # not on the surface
-        inside = are_inside(points, Solid(*mesh))
+        inside = are_inside(points, Solid(*mesh, mesh[1]))
         np.testing.assert_array_equal(inside[sure], turns.round()[sure] != 0.0)
         assert 50 < inside.sum() < sure.sum() - 50
         most = max(most, turns[sure].max())

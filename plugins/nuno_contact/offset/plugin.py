@@ -60,7 +60,7 @@ from nuno_contact.offset.proximity import closest, unit, weigh
 from nuno_contact.offset.separating_plane import restrain
 from nuno_contact.reaction import auto_stiffness
 from nuno_contact.untangle.search import find_crossings
-from nuno_geometry.check import place_of
+from nuno_geometry.check import closed_parts, place_of
 from nuno_geometry.closest_point import closest_points
 from nuno_geometry.skinning import bend_skin
 from nuno_geometry.tree import build_tree
@@ -142,7 +142,7 @@ def _without(body: str) -> str:
 
 
 def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
-    """Raise BadInput for cloth that starts inside of a closed mesh."""
+    """Raise BadInput for cloth that starts inside of a closed mesh, or a closed part of a skin."""
     count = 0
     for primitive, kind in enumerate(geometry.kind.tolist()):
         starts, faces = geometry.mesh(primitive)
@@ -150,8 +150,10 @@ def check_outside(fabric: Fabric, geometry: Geometry, solids: Solids) -> None:
         count += len(starts)
         if kind not in (MESH, SKIN):
             continue
-        distance = np.asarray(closest_points(build_tree(x, faces), fabric.position).distance)
-        if len(inside := np.flatnonzero(distance < 0.0)):
+        faces = faces[closed_parts(faces)]
+        if len(inside := np.flatnonzero(find_turns(fabric.position, x, faces))):
+            distance = np.zeros(fabric.number)
+            distance[inside] = -np.abs(closest_points(build_tree(x, faces), fabric.position[inside]).distance)
             name, deepest = geometry.bodies[int(geometry.body[primitive])], int(distance.argmin())
             raise BadInput(
                 f"cloth starts inside of {name} ({len(inside):,} of {fabric.number:,} vertices)", field="bodies",
@@ -397,6 +399,7 @@ class Offset:
     near_pairs: ClassVar[type[NearPairs]] = NearPairs
     find_turns = staticmethod(find_turns)
     bend_skin = staticmethod(bend_skin)
+    closed_parts = staticmethod(closed_parts)
     """What the collision service checks all cloth by, whatever its contact."""
 
     def prepare(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -63,10 +63,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed mesh: vertices (v, 3) [m], faces (f, 3)."""
+    """A mesh: vertices (v, 3) [m], faces (f, 3), of which `closed` (g, 3) have an inside."""
 
     vertices: Float
     faces: Int
+    closed: Int
 
     @cached_property
     def trees(self) -> tuple[Any, list[tuple[Any, float, NDArray[np.int64]]]]:
@@ -89,7 +90,7 @@ def _tree(points: Float) -> Any:
 
 def are_inside(points: Float, solid: Solid) -> Bool:
     """Return whether points (n, 3) lie inside, shape (n,)."""
-    return np.asarray(compiled().find_turns(points, solid.vertices, solid.faces) != 0)
+    return np.asarray(compiled().find_turns(points, solid.vertices, solid.closed) != 0)
 
 
 def distances(points: Float, solid: Solid) -> Float:
@@ -126,12 +127,13 @@ def solid_of(geometry: Geometry, primitive: int, poses: Poses) -> Solid:
     if cached is None or cached[0] is not geometry:
         while len(_SOLIDS) >= 16:
             del _SOLIDS[next(iter(_SOLIDS))]
-        cached = _SOLIDS[key] = (geometry, Solid(*geometry.mesh(primitive)))
+        x, faces = geometry.mesh(primitive)
+        cached = _SOLIDS[key] = (geometry, Solid(x, faces, faces[compiled().closed_parts(faces)]))
     solid, skin = cached[1], geometry.skin(primitive)
     if skin is None:
         return solid
     frame = int(geometry.frame[primitive])
-    return Solid(poses.bend(skin, frame, solid.vertices, compiled().bend_skin), solid.faces)
+    return replace(solid, vertices=poses.bend(skin, frame, solid.vertices, compiled().bend_skin))
 
 
 def signed_distance(points: Float, geometry: Geometry, poses: Poses) -> Float:
