@@ -73,8 +73,11 @@ def rotation_between(q0: Float, q1: Float) -> Float:
 
 
 def write_interval(moved: Frames, poses0: Poses, poses1: Poses) -> None:
-    """Write the interval from poses0.t to poses1.t in place; one without duration stands still at its start."""
-    duration = poses1.t - poses0.t
+    """Write the interval from poses0.t to poses1.t in place, of as many frames as there is room for; one without
+    duration stands still at its start.
+    """
+    duration, used = poses1.t - poses0.t, len(moved.frames)
+    poses0, poses1 = (Poses(p.t, p.rotation[:used], p.translation[:used]) for p in (poses0, poses1))
     moving = duration > 0.0
     moved.rotation0[:] = rotation_matrices(poses0.rotation).reshape(-1, 9)
     moved.origin0[:] = poses0.translation

@@ -103,9 +103,7 @@ def make_bindings(carried: Sequence[Carried]) -> Bindings:
 
 def set_binding_poses(bindings: Bindings, start: Poses, end: Poses) -> None:
     """Write the interval into `bindings`; one without duration stands still at its start."""
-    used = bindings.frames.shape[0]
-    first, last = (Poses(p.t, p.rotation[:used], p.translation[:used]) for p in (start, end))
-    write_interval(bindings, first, last)
+    write_interval(bindings, start, end)
     if len(bindings.joint):
         skin, moving = Skin(bindings.place, bindings.joint, bindings.weight), end.t > start.t
         bound = bindings.local[len(bindings.local) - len(bindings.joint) :]

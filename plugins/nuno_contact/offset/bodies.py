@@ -73,7 +73,8 @@ def make_solids(geometry: Geometry | None, poses: Poses | None) -> Solids:
     first = geometry.frame[geometry.kind == SKIN]
     each = [at + np.arange(len(one.place), dtype=np.int32) for at, one in zip(first, geometry.skins, strict=True)]
     carrier = np.concatenate([np.zeros(0, np.int32), *each]).astype(np.int32)
-    return Solids(geometry.bodies, places, local, frames, bodies, faces, law, len(geometry.frames), skin, carrier)
+    used = int(frames.max(initial=OF_SKIN)) + 1
+    return Solids(geometry.bodies, places, local, frames, bodies, faces, law, used, skin, carrier)
 
 
 def set_solid_poses(m: ContactState, start: Poses, end: Poses) -> None:

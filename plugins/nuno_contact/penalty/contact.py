@@ -479,7 +479,7 @@ def make_contact(
     """
     g = geometry
     order = np.argsort(g.body, kind="stable")
-    bodies, frames, n = len(g.bodies), len(g.frames), stiffness.shape[1]
+    bodies, frames, n = len(g.bodies), int(g.frame.max(initial=-1)) + 1, stiffness.shape[1]
     blocks = -(-n // BLOCK)
 
     kind, a, b, radius = g.kind[order], g.a[order], g.b[order], g.radius[order].astype(np.float64)

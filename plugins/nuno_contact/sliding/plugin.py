@@ -140,7 +140,7 @@ class Sliding:
                 skins.append(make_skin_slides(geometry, part, fabric, gap, own, local))
             else:
                 bodies.append(SlidingBody(build_tree(*mesh), int(geometry.frame[part]), mu, own))
-        rigid = (make_slides(bodies, len(geometry.frames), mass),) if bodies else ()
+        rigid = (make_slides(bodies, 1 + max(body.frame for body in bodies), mass),) if bodies else ()
         return Term(name="slides", data=(*rigid, *skins))
 
 
