@@ -56,6 +56,11 @@ class Skin:
         w, v, e, d = real[:, :1], real[:, 1:], moved[:, :1], moved[:, 1:]
         return np.asarray(_turned(real, x) + 2.0 * (w * d - e * v + np.cross(v, d)))
 
+    @property
+    def is_surface(self) -> bool:
+        """Whether each vertex has a frame of its own, as those of a surface that is animated from outside."""
+        return self.joint.shape == (len(self.place), 1)
+
     def dual(self, rotation: Float, translation: Float) -> Float:
         """Return half of the shift of each frame since the bind pose times its rotation, quaternions (q, 4)."""
         shift, w, v = translation - _turned(rotation, self.place), rotation[:, :1], rotation[:, 1:]
@@ -182,7 +187,8 @@ class Geometry:
     damping    (b,)          damping of the normal velocity in contact, as a ratio of critical
     friction   (b,)          Coulomb coefficient
     vertices   (v, 3)        vertices of all meshes, in their primitives' frames, of skins in their bind pose [m]
-    faces      (t, 3) int32  triangles of the meshes, counter-clockwise seen from outside, each MESH and SKIN closed
+    faces      (t, 3) int32  triangles of the meshes, counter-clockwise seen from outside, each MESH closed, and
+                             each SKIN but for parts that then have no inside
     owner      (t,) int32    primitive of each triangle
     fields                   distances of the FIELD primitives, in their order, sampled or by a closed form; None if
                              contact uses the triangles; empty if the bodies are only drawn
@@ -205,6 +211,14 @@ class Geometry:
     owner: Annotated[Int, "t", Bounds(0, below="p")] = field(default_factory=partial(no_rows, np.int32))
     fields: tuple[DistanceField | ClosedForm | None, ...] = ()
     skins: tuple[Skin, ...] = ()
+
+    @property
+    def own_frames(self) -> Int:
+        """Numbers (k,) of the frames that are not of a single vertex of a surface each."""
+        own = np.ones(len(self.frames), bool)
+        for first, skin in zip(self.frame[self.kind == SKIN].tolist(), self.skins, strict=True):
+            own[first : first + len(skin.place)] = not skin.is_surface
+        return np.flatnonzero(own).astype(np.int32)
 
     def skin(self, primitive: int) -> Skin | None:
         """Return the skin of a SKIN primitive, None for others."""
@@ -280,6 +294,14 @@ class Poses:
     def same_place(self, other: Poses) -> bool:
         """Return whether the frames have the same poses as others, to the last bit."""
         return np.array_equal(self.rotation, other.rotation) and np.array_equal(self.translation, other.translation)
+
+
+STILL = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+def all_rotations(rotation: Float, frames: int) -> Float:
+    """Return rotations (f, 4) of so many frames, of which those after the given ones do not turn."""
+    return np.concatenate([rotation, np.tile(STILL, (max(frames - len(rotation), 0), 1))])
 
 
 def rotation_matrices(q: Float) -> Float:

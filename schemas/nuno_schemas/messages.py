@@ -240,8 +240,9 @@ GEOMETRY = Topic(
     holds="shapes of the bodies: capsules, meshes, fields; in the text the names of their frames",
 )
 BODIES = Topic(
-    "collision/bodies", "protobuf", "nuno.Arrays", holds="`rotation` and `translation` of the bodies' frames"
-)
+    "collision/bodies", "protobuf", "nuno.Arrays",
+    holds="`rotation` and `translation` of the bodies' frames; those at the end that do not turn have no rotation",
+)  # fmt: skip
 POSES = Topic(
     "poses", "json", "nuno.BodyPoses", recorded=False,
     when="as whoever moves a body says, each body on `poses/BODY`, without a header",

@@ -22,7 +22,7 @@ from nuno.bus.encodings import BadMessage, arrays_of, decode_arrays, encode_arra
 from nuno.bus.messages import WAITING_AFTER
 from nuno.plugin_contract.values import ContractError, check_layout, check_skins
 from nuno.runtime.service import Context
-from nuno_schemas.bodies import SKIN, Geometry, Poses, Skin
+from nuno_schemas.bodies import SKIN, STILL, Geometry, Poses, Skin, all_rotations
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.fabric import Float
 from nuno_schemas.live import BodyPoses, Live
@@ -323,14 +323,18 @@ def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, Any]:
 
 
 def encode_poses(poses: Poses, frame: int) -> bytes:
-    return encode_arrays({"rotation": poses.rotation, "translation": poses.translation}, {"t": poses.t, "frame": frame})
+    """Encode poses; frames at the end that do not turn, as the vertices of an animated surface, without rotation."""
+    turned = int(np.flatnonzero((poses.rotation != STILL).any(axis=1)).max(initial=-1)) + 1
+    arrays = {"rotation": poses.rotation[:turned], "translation": poses.translation}
+    return encode_arrays(arrays, {"t": poses.t, "frame": frame})
 
 
 def decode_poses(payload: bytes, frames: int | None = None) -> Poses:
     """Decode poses. Raises BadMessage, also for another number of `frames` if that is given."""
     arrays, text = decode_arrays(payload)
     try:
-        poses = Poses(float(text["t"]), arrays["rotation"], arrays["translation"])
+        rotation = all_rotations(arrays["rotation"], len(arrays["translation"]))
+        poses = Poses(float(text["t"]), rotation, arrays["translation"])
         check_layout("", poses, None if frames is None else {"f": frames})
         return poses
     except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -189,5 +189,5 @@ class _Export:
         """Return the layout of the written file."""
         floor = None if self.show.bodies is None else self.show.bodies.floor
         energy = self.messages.names.get(STATUS.name, [()])[-1]
-        frames = [WORLD, CLOTH, *self.show.frames]
+        frames = [WORLD, CLOTH, *(self.show.frames[i] for i in self.show.own.tolist())]
         return arrange(self.recording, self.points, floor, frames, self._topics, energy)

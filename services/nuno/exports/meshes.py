@@ -282,7 +282,7 @@ class Show:
     painter     of the dyed cloth, from `nuno.dye.painter`; None without one
     colour      auto: as in pictures; stretch: cloth without a colour of its own by its stretch; plain: nets too have a
                 colour, which does not change
-    frames      names of the bodies' frames
+    frames      names of the bodies' frames; own: numbers of those that are not of single vertices
 
     Cloth and skins are in the frame CLOTH, with its origin near the cloth's start, since viewers use float32.
     """
@@ -291,6 +291,7 @@ class Show:
         self._read_image, self.painter, self._colour = read_image, painter, colour
         self.pieces: list[ShownPiece] = []
         self.frames: tuple[str, ...] = ()
+        self.own = np.zeros(0, np.int32)
         self.bodies: ShownBodies | None = None
         self.poses: Poses | None = None
         self.origin: Float | None = None
@@ -304,7 +305,7 @@ class Show:
                 self._take_fabric(payload)
             elif topic == GEOMETRY.name:
                 self._geometry, self.bodies = decode_geometry(payload), None
-                self.frames = self._geometry.frames
+                self.frames, self.own = self._geometry.frames, self._geometry.own_frames
             elif topic == BODIES.name:
                 self.poses = decode_poses(payload, len(self.frames))
                 if self.bodies is None and self._geometry is not None:
@@ -347,8 +348,8 @@ class Show:
     def turns(self) -> list[Turn]:
         """Return the transforms of the bodies' frames in the world."""
         assert self.poses is not None
-        rows = zip(self.frames, self.poses.translation, self.poses.rotation, strict=True)
-        return [Turn(WORLD, name, _row(shift), _row(turn)) for name, shift, turn in rows]
+        shift, turn = self.poses.translation, self.poses.rotation
+        return [Turn(WORLD, self.frames[i], _row(shift[i]), _row(turn[i])) for i in self.own.tolist()]
 
     def skins(self) -> list[tuple[str, Shape]]:
         """Return the shapes of the bending bodies, once there is cloth, and the name of their frame."""
@@ -362,11 +363,11 @@ class Show:
         return shapes
 
     def parts(self) -> list[tuple[str, Shape]]:
-        """Return the rigid bodies, and of each bending body the triangles that follow a frame most, as rigid ones."""
+        """Return the rigid bodies, and of each on a skeleton the triangles that follow a frame most, as rigid ones."""
         if (bodies := self.bodies) is None:
             return []
         shapes = self.rigid()
-        for first, skin in bodies.skins:
+        for first, skin in (one for one in bodies.skins if not one[1].is_surface):
             x, faces = _of_skin(bodies, first, skin)
             joint = skin.joint[faces[:, 0], 0]
             for k in np.unique(joint).tolist():
@@ -386,8 +387,8 @@ class Show:
         for first, skin in bodies.skins:
             rigid[first : first + len(skin.joint)] = False
         shapes = []
-        for number, name in enumerate(self.frames):
-            part = rigid & (bodies.frame == number)
+        for number in self.own.tolist():
+            name, part = self.frames[number], rigid & (bodies.frame == number)
             if part.any():
                 faces = (np.cumsum(part) - 1)[bodies.faces[part[bodies.faces[:, 0]]]].astype(np.int32)
                 shapes.append((name, Shape(name, bodies.vertices[part], faces, _sole(BODY))))

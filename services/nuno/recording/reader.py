@@ -25,6 +25,7 @@ from nuno.recording.mcap_file import REPEATS, Damaged, Layout, read_index, read_
 from nuno.recording.recorded import Arrays, Checkpoint, Frame, Recorded
 from nuno.recording.writer import RecordingWriter, check_payload, part_of, topic_of
 from nuno_schemas import SCHEMA_VERSION
+from nuno_schemas.bodies import all_rotations
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Float
 from nuno_schemas.messages import (
@@ -345,7 +346,10 @@ class Recording(contextlib.AbstractContextManager["Recording"]):
 
     def poses(self, t: float | None = None) -> tuple[Arrays, dict[str, Any]]:
         """Return rotation (f, 4) and translation (f, 3) [m] of the bodies' frames, at t [s] or last."""
-        return self.arrays(self.last(BODIES.name, t))
+        arrays, text = self.arrays(self.last(BODIES.name, t))
+        if {"rotation", "translation"} <= arrays.keys():
+            arrays = {**arrays, "rotation": all_rotations(arrays["rotation"], len(arrays["translation"]))}
+        return arrays, text
 
     def checkpoints(self, topic: str = CHECKPOINT.name) -> Iterator[Checkpoint]:
         """Yield float64 states of cloth, or of dye by its topic, in order. Raises BadInput for a damaged one."""

@@ -249,7 +249,7 @@ def _require_same_poses(recording: Recording, simulation: Simulation) -> None:
     message = recording.last(BODIES.name, simulation.t)
     if message is None or message.t < simulation.t - 1e-9:  # a killed run may lack those of its checkpoint
         return
-    recorded, _ = recording.arrays(message)
+    recorded, _ = recording.poses(simulation.t)
     for name, values in vars(simulation.poses).items():
         there = recorded.get(name, values)
         if np.shape(values) != np.shape(there) or not np.allclose(values, there, rtol=0.0, atol=1e-6):

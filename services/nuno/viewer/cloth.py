@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -202,16 +203,17 @@ class BodiesView:
     """
 
     def __init__(self, entities: layout.Entities, geometry: Geometry, batch: int) -> None:
-        number = len(geometry.frames)
+        self.number = number = len(geometry.frames)
         if len(geometry.frame) and not (geometry.frame.min() >= 0 and geometry.frame.max() < number):
             raise BadMessage(f"a primitive of a frame that is not among the {number}")
         self.recording, self.batch = entities.recording, batch
-        self.paths = [entities.world("bodies", *name.split("/", 1)) for name in geometry.frames]
+        self.own = geometry.own_frames
+        self.paths = [entities.world("bodies", *geometry.frames[i].split("/", 1)) for i in self.own.tolist()]
         rigid = geometry.of_primitives(np.flatnonzero(geometry.kind != SKIN).tolist())
         self.skins = [SkinView(entities, geometry, i) for i in np.flatnonzero(geometry.kind == SKIN).tolist()]
         shown = surface(rigid)
         vertices, faces, frames = shown.vertices, shown.faces, shown.frame
-        for frame, path in enumerate(self.paths):
+        for frame, path in zip(self.own.tolist(), self.paths, strict=True):
             part = frames == frame
             if part.any():
                 triangles = (np.cumsum(part) - 1)[faces[part[faces[:, 0]]]]
@@ -234,8 +236,8 @@ class BodiesView:
 
     def move(self, frame: int, poses: Poses) -> None:
         """Set the poses of a frame. Raises BadMessage for a wrong number of poses."""
-        if len(poses.rotation) != len(self.paths):
-            raise BadMessage(f"{len(poses.rotation)} poses for {len(self.paths)} frames")
+        if len(poses.rotation) != self.number:
+            raise BadMessage(f"{len(poses.rotation)} poses for {self.number} frames")
         self._last = poses
         self._waiting.append((frame, poses))
         if len(self._waiting) >= self.batch:
@@ -252,19 +254,19 @@ class BodiesView:
             frame = rr.TimeColumn("frame", sequence=numbers[rows])
             return [frame, rr.TimeColumn(layout.TIMELINE, duration=times[rows])]
 
-        pose = np.array([np.hstack([p.rotation, p.translation]) for _, p in self._waiting])
-        shown = self._shown
-        first = (
-            np.full_like(pose[:1], np.nan) if shown is None else np.hstack([shown.rotation, shown.translation])[None]
-        )
-        moved = (np.diff(pose, axis=0, prepend=first) != 0.0).any(axis=2)
+        all_poses: list[Poses | None] = [self._shown, *(poses for _, poses in self._waiting)]
+        pose = np.array([
+            np.full((len(self.own), 7), np.nan) if p is None
+            else np.hstack([p.rotation[self.own], p.translation[self.own]]) for p in all_poses
+        ])  # fmt: skip
+        moved, pose = (np.diff(pose, axis=0) != 0.0).any(axis=2), pose[1:]
         for i, path in enumerate(self.paths):
             rows = moved[:, i]
             if rows.any():
                 turn, shift = pose[rows, i, :4][:, [1, 2, 3, 0]], pose[rows, i, 4:]
                 columns = rr.Transform3D.columns(translation=shift, quaternion=turn)
                 self.recording.send_columns(path, index(rows), columns, strict=True)
-        changed = np.flatnonzero(moved.any(axis=1))
+        changed = np.flatnonzero([a is None or not b.same_place(a) for a, b in pairwise(all_poses) if b is not None])
         for skin in self.skins if len(changed) else ():
             skin.log(index(changed), [self._waiting[i][1] for i in changed])
         self._shown = self._waiting[-1][1]
