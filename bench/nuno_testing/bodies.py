@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from nuno.collision.bodies import box_mesh
 from nuno.collision.distance import signed_distance
 from nuno_schemas.bodies import OF_TRIANGLES, SKIN, DistanceField, Geometry, Poses
 from nuno_schemas.errors import BadInput
@@ -39,11 +41,13 @@ def still_mover(joints: Sequence[str], parents: Sequence[int], offsets: Float) -
 
 
 def movers() -> list[Mover]:
-    """Return a motion of two joints, and one of a person's."""
+    """Return a motion of two joints, one of a person's, and one that brings a surface."""
     names = list(PERSON)
     parents = [names.index(parent) if parent else -1 for parent, _ in PERSON.values()]
     person = still_mover(names, parents, np.array([offset for _, offset in PERSON.values()]))
-    return [still_mover(("hips", "spine"), (-1, 0), PLACES), person]
+    x, faces = box_mesh(PLACES[1], np.array([0.1, 0.2, 0.3]))
+    surface = replace(still_mover(list("abcdefgh"), [-1] * len(x), x), surface=faces)
+    return [still_mover(("hips", "spine"), (-1, 0), PLACES), person, surface]
 
 
 def build_shape(subject: Subject, moves: bool) -> BodyShape | None:
@@ -57,7 +61,7 @@ def build_shape(subject: Subject, moves: bool) -> BodyShape | None:
             continue
         assert mover is None or shape.frames == mover.joints
         return shape
-    assert not moves, "it stands neither by itself nor on two joints, nor on a person's"
+    assert not moves, "it stands neither by itself nor on two joints, on a person's or on a surface"
     return None
 
 

@@ -29,8 +29,8 @@ GROUPS: Mapping[str, str] = {
     "nuno.models": "build a fabric: sheet, skirt, shirt, mesh, pattern, swatch, net, knit",
     "nuno.forces": "forces beyond springs, hinges, gravity and damping: wind, particle_wind",
     "nuno.integrators": "advance a fabric's state in time",
-    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf, skin",
-    "nuno.motions": "move a collider's frames: keyframes, bvh, hula, topic",
+    "nuno.colliders": "shapes that cloth meets: capsule, sphere, plane, box, skeleton, mesh, sdf, skin, surface",
+    "nuno.motions": "move a collider's frames: keyframes, bvh, hula, topic, animation",
     "nuno.contacts": "forces between cloth and bodies",
     "nuno.cloth_contacts": "forces between cloth and cloth, and what keeps it from passing through",
     "nuno.operations": "change a fabric and its state: attach, release, repair, smooth, pressure, untangle, wrinkle",
@@ -297,6 +297,10 @@ class Mover:
     """Joints that are steered from outside during the run; `pose` is then `live.pose`."""
     notes: tuple[str, ...] = ()
     """Remarks for the user."""
+    surface: Annotated[Int, "t", 3, Bounds(0, below="j")] | None = None
+    """Triangles (t, 3) of a body whose vertices the joints are, which do not turn; `offsets` are where they start."""
+    lasts: Annotated[float, Bounds(0.0)] | None = None
+    """How long it moves [s], after which it stands still, if it was made for one shot."""
 
 
 class Collider(Plugin, Protocol):

@@ -343,7 +343,11 @@ class Scene(Part):
         """Numbers of skins without a contact of their own, if the cloth contact has `bodies: auto`."""
         if not (self.meets and isinstance(self.cloth_contact, ClothContact) and self.cloth_contact.bodies == "auto"):
             return []
-        return [i for i, body in enumerate(self.bodies) if body.collider.plugin == "skin" and body.contact is None]
+        return [
+            i
+            for i, body in enumerate(self.bodies)
+            if body.collider.plugin in ("skin", "surface") and body.contact is None
+        ]
 
     @property
     def step_undecided(self) -> bool:

@@ -8,6 +8,8 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+import animated_tube
+import numpy as np
 import pytest
 from model_files import Folder, files
 from persons import person_file
@@ -48,11 +50,13 @@ EXAMPLES: dict[str, dict[str, dict[str, Any]]] = {
         "mesh": {"shape": "leg", "resolution": 24},
         "sdf": {"shape": "leg", "resolution": 24, "tolerance": "2 mm"},
         "skin": {"file": "person.obj", "stand": "0.1 s", "blend": "0.5 s"},
+        "surface": {},
     },
     "nuno.motions": {
         "keyframes": {"times": [0, 1, 3], "rotations": [[0, 0, 0], [0, 1, 0.5], [1, 0, 0]], "between": "ease"},
         "bvh": {"file": "walk.bvh"},
         "hula": {},
+        "animation": {"file": "hero.npz", "start": "0.1 s", "preroll": "0.2 s", "up": "z", "scale": "10 cm"},
         "topic": {"key": "robot/hand", "position": [0, "1 m", 0], "frames": "poses", "silence": "2 s"},
     },
     "nuno.contacts": {"penalty": {}, "sliding": {}},
@@ -85,6 +89,10 @@ def nuno_folder(files: Folder) -> Path:
     (files.root / "tube.json").write_text(json.dumps(tube()))
     (files.root / "person.obj").write_text(person_file(0.025))
     (files.root / "walk.bvh").write_bytes((SCENES / "walk.bvh").read_bytes())
+    (x, faces), times = animated_tube.tube(), animated_tube.times(25)
+    animated_tube.write_npz(
+        files.root / "hero.npz", np.stack([animated_tube.posed(x, t) for t in times]), faces, times=times
+    )
     return files.root
 
 

@@ -92,6 +92,9 @@ class SkinCollider:
                 "a skin needs a motion with joints", field="motion",
                 remedy="add a motion, bvh or hula, or give the body collider: {plugin: mesh, ...}, which stands still",
             )  # fmt: skip
+        if mover.surface is not None:
+            problem, remedy = "the motion brings its own surface", "collider: {plugin: surface}"
+            raise BadInput(problem, field="plugin", value="skin", remedy=remedy)
         if mover.live is not None:
             problem, remedy = "a skin is fitted to a motion that is known beforehand", "collider: {plugin: skeleton}"
             raise BadInput(problem, field="motion", value="topic", remedy=remedy)

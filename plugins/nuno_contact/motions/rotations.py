@@ -69,7 +69,7 @@ def from_matrices(m: Float) -> Float:
     return np.asarray(q / norm(q)[..., None])
 
 
-def slerp(p: Float, q: Float, s: float) -> Float:
+def slerp(p: Float, q: Float, s: float | Float) -> Float:
     """Interpolate between unit quaternions p (s = 0) and q (s = 1), (..., 4), the shorter way."""
     cosine = dot(p, q)[..., None]
     q = np.where(cosine < 0.0, -q, q)

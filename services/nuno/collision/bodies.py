@@ -53,7 +53,8 @@ class Bodies:
         return poses
 
     def _pose(self, t: float) -> Poses:
-        parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in self.movers]
+        ordered = sorted(self.movers, key=_is_surface)
+        parts = [m.pose(t) if m else (np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3))) for m in ordered]
         return Poses(t, np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts]))
 
 
@@ -70,8 +71,12 @@ def build_bodies(loaded: Loaded) -> Bodies:
         movers.append(replace(mover, pose=shape.pose) if mover and shape.pose else mover)
     each = zip(loaded.scene.bodies, movers, shapes, strict=True)
     notes = [f"{body.name}: {n}" for body, mover, shape in each for n in (mover.notes if mover else ()) + shape.notes]
-    drawn = _geometry(loaded, [shape.shown for shape in shapes])
-    return Bodies(_geometry(loaded, shapes), drawn, tuple(movers), tuple(notes), loaded)
+    for body, mover in zip(loaded.scene.bodies, movers, strict=True):
+        run = loaded.scene.duration
+        if mover is not None and mover.lasts is not None and mover.lasts < run - 0.5 / loaded.scene.frame_rate:
+            notes.append(f"{body.name}: its motion lasts {mover.lasts:.4g} s of {run:.4g} s: then it stands still")
+    drawn = _geometry(loaded, [shape.shown for shape in shapes], movers)
+    return Bodies(_geometry(loaded, shapes, movers), drawn, tuple(movers), tuple(notes), loaded)
 
 
 _BUILT: WeakValueDictionary[int, Bodies] = WeakValueDictionary()
@@ -88,10 +93,19 @@ def shared_bodies(loaded: Loaded) -> Bodies:
         return bodies
 
 
-def _geometry(loaded: Loaded, shapes: list[BodyShape]) -> Geometry:
+def _is_surface(mover: Mover | None) -> bool:
+    """Whether a body has a frame for each of its vertices. They come after all others, so that contact of rigid bodies
+    does not pose them.
+    """
+    return mover is not None and mover.surface is not None
+
+
+def _geometry(loaded: Loaded, shapes: list[BodyShape], movers: list[Mover | None]) -> Geometry:
     bodies = loaded.scene.bodies
-    names = [f"{body.name}/{frame}" for body, shape in zip(bodies, shapes, strict=True) for frame in shape.frames]
-    starts = np.cumsum([0, *(len(s.frames) for s in shapes)])
+    order = sorted(range(len(shapes)), key=lambda i: _is_surface(movers[i]))
+    names = [f"{bodies[i].name}/{frame}" for i in order for frame in shapes[i].frames]
+    starts = np.zeros(len(shapes), np.int64)
+    starts[order] = np.cumsum([0, *(len(shapes[i].frames) for i in order)])[:-1]
     of_triangles = [getattr(contact.plugin, "of_triangles", False) for contact in loaded.contacts]
     fields = [None if of else field for s, of in zip(shapes, of_triangles, strict=True) for field in s.fields]
     return Geometry(

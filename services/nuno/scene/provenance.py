@@ -68,4 +68,7 @@ def assets(loaded: Loaded) -> dict[str, Path]:
         for text in (text for _, text in walk(chosen.config.model_dump()) if isinstance(text, str)):
             with contextlib.suppress(BadInput, OSError, ValueError):
                 loaded.files.resolve(text)
+        if hasattr(chosen.plugin, "resolve"):  # files of a sequence, whose first alone is named
+            with contextlib.suppress(BadInput, OSError, ValueError):
+                chosen.plugin.resolve(chosen.config, loaded.files)
     return dict(loaded.files.used)
