@@ -39,6 +39,7 @@ MAGIC: dict[str, tuple[int, bytes]] = {
     ".mp4": (4, b"ftyp"),
     ".rrd": (0, b"RRF"),
     ".mcap": (17, b"\0\0\0\0\x0b\0\0\0nuno export"),  # no profile, and the library: a recording has others
+    ".py": (0, b'"""Cloth by nuno in Blender'),
     ".yaml": (0, b"# the scene of "),
     ".json": (0, b'{\n "globalVariables": {\n  "nuno"'),
 }

@@ -61,6 +61,7 @@ COMMANDS = {
         "nuno.cli.textiles",
         "a weaver's draft, a WIF file: what it holds, drawn in colours and at its scale",
     ),
+    "blender-addon": ("nuno.cli.installation", "an add-on for Blender: a shot goes out, and its garment comes back"),
     "schema": ("nuno.cli.installation", "JSON Schema of scenes, for editors"),
     "doctor": ("nuno.cli.doctor", "whether this machine has what nuno can use"),
 }
@@ -163,7 +164,7 @@ def _dispatch(arguments: list[str]) -> int:
             problem = "a name is not UTF-8, which recordings and messages are written in"
             raise BadInput(problem, value=text, remedy="rename the file or folder") from None
     module, parser = parser_of(arguments[0])
-    return int(getattr(module, f"{arguments[0]}_command")(parser.parse_args(arguments[1:])))
+    return int(getattr(module, f"{arguments[0].replace('-', '_')}_command")(parser.parse_args(arguments[1:])))
 
 
 def parser_of(
@@ -180,7 +181,7 @@ def parser_of(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=name)
-    getattr(module, f"{name}_arguments")(parser)
+    getattr(module, f"{name.replace('-', '_')}_arguments")(parser)
     return module, parser
 
 

@@ -1,11 +1,16 @@
-"""What is installed, for authors of scenes: `nuno plugins`, `nuno scenes` and `nuno schema`."""
+"""What is installed, for authors of scenes: `nuno plugins`, `nuno scenes` and `nuno schema`; and the add-on
+for Blender.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
 
+from nuno.output_files import writing
 from nuno.plugin_contract import registry
 from nuno.scene import shipped, yaml_lines
 from nuno_schemas.plugin import GROUPS
@@ -41,6 +46,20 @@ def scenes_command(args: argparse.Namespace) -> int:
     for name, path in shipped.scenes().items():
         data, _ = yaml_lines.parse(path.read_text(), str(path))
         print(path if args.paths else f"{name:28} {data.get('description', '')}")
+    return 0
+
+
+def blender_addon_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "file", nargs="?", type=Path, default=Path("nuno_blender.py"), metavar="FILE",
+        help="where it is written (default: nuno_blender.py)",
+    )  # fmt: skip
+
+
+def blender_addon_command(args: argparse.Namespace) -> int:
+    with writing(args.file, ".py") as new:
+        new.write_text((files("nuno.exports") / "blender_addon.py").read_text(encoding="utf-8"), encoding="utf-8")
+    print(args.file)
     return 0
 
 
