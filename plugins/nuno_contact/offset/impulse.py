@@ -163,7 +163,7 @@ def apply_impulses(m: ContactState, v: Float, dt: float, sweeps: int, threads: i
                         for row in range(3):
                             v[row, i] += w[corner] / mass[i] * impulse * n[row]
                             m.push[of_body, i, row] += w[corner] * impulse * n[row] / m.span[0]
-        if not slowed:
+        if not slowed or m.leave[0] != 0:
             break
 
 

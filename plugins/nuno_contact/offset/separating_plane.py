@@ -138,7 +138,7 @@ def find_shares(m: ContactState, y: Float, d: Float, stop: float) -> bool:
                 if allowed < share[v]:
                     share[v], again = allowed, True
         hindered = hindered or again
-        if not again:
+        if not again or m.leave[0] != 0:
             break
     return hindered
 
