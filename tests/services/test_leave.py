@@ -29,6 +29,7 @@ from nuno.python_api.progress import ProgressLine
 from nuno.runtime import driver as watchdog
 from nuno.runtime import launch, stepper
 from nuno.runtime.driver import FrameWatchdog
+from nuno.runtime.stepper import Stepped
 from nuno.scene import scene_file
 from nuno.simulation.run import Simulation
 from nuno.simulation.solver_selection.cloth import decide
@@ -38,7 +39,7 @@ from nuno_bench.gallery.kind import Gallery, ShownScene
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as suite
 from nuno_bench.validation.law import Outcome
-from nuno_schemas.errors import BadInput
+from nuno_schemas.errors import BadInput, RunFailed
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
 """Ten million steps a frame, of 4,000 vertices: about a minute."""
@@ -138,6 +139,25 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     with attendant.frame(1, 0.1):
         wait_until(lambda: bool(attendant.leave[0]))
     attendant.close()
+
+
+def test_stop_ends_a_run_that_is_being_prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What else is asked for is refused until it is ready."""
+    prepared, preparing = threading.Event(), threading.Event()
+
+    def present(self: Simulation) -> Stepped:
+        preparing.set()
+        assert prepared.wait(SOON)
+        raise RunFailed("left")
+
+    monkeypatch.setattr(Simulation, "present", present)
+    run = Run(write_scene(tmp_path), tmp_path / "a.mcap")
+    assert preparing.wait(SOON)
+    assert "prepared" in run.control("pause")["error"]
+    assert run.control("stop")["state"] == "stopped"
+    outcome = run.join()
+    assert not prepared.is_set() and outcome.problem == "failed: stopped while it was prepared"
+    prepared.set()
 
 
 def test_preparation_is_left_where_the_supervisor_goes() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import zenoh
 
 from nuno.bus.health import Watch, offer_health
-from nuno.bus.messages import Bus, Inbox, Message
+from nuno.bus.messages import Bus, Inbox, Message, Query
 from nuno.bus.sessions import SlowConsumers, cut_off, hub_at, identity, spoke
 from nuno.formatting import counted
 from nuno.process import SIGNALS, state_of
@@ -131,12 +131,15 @@ class Supervisor:
         next_word = PREPARING_EVERY
         settles = coarser(self.loaded) is not None and self.options.resume is None
         patience = max(self.patience, COMPILE_TIMEOUT) if settles else self.patience
+        early = Inbox(self.bus, [])
+        early.answer("control")  # until the leader does
         while missing := set(self.plan.services) - self.watch.alive() - self.without.keys():
             self._drain()
             if self.bad_input is not None:
                 raise self.bad_input
             if broken := self.cut_off():
                 raise RunFailed(broken)
+            self._answer_early(early)
             done = self.exited()
             if gone := {name for name in missing if name in done or self.watch.gone(name)}:
                 name = min(gone)
@@ -158,7 +161,18 @@ class Supervisor:
             if waited > patience:
                 raise RunFailed(f"not ready within {patience:g} s: {', '.join(sorted(missing))}")
             self.watch.wait_for(missing, 0.05)
+        early.close()
         self._drain()  # the recorder receives all later messages
+
+    def _answer_early(self, inbox: Inbox) -> None:
+        """Answer a control request before the leader is ready. Raises RunFailed for `stop`."""
+        if not isinstance(query := inbox.get(0), Query):
+            return
+        if query.json().get("action") != "stop":
+            query.answer_json({"ok": False, "error": "the run is still being prepared: it can be stopped, and no more"})
+            return
+        query.answer_json({"ok": True, "state": "stopped", "frame": 0, "frames": self.loaded.scene.frames, "t": 0.0})
+        raise RunFailed("stopped while it was prepared")
 
     def check_premises(self) -> None:
         """Check that all services have read the same scene. Raises BadInput if not, RunFailed where one dies."""
