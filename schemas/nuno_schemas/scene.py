@@ -176,6 +176,11 @@ class Scene(Part):
         "given: 2e-4 of the cloth's size a second [m/s]",
     )
     frame_rate: Rate = Field(default=60.0, description="frames that are published and recorded per second [Hz]")
+    frame_limit: Annotated[float, quantity("s", gt=0)] | None = Field(
+        default=None,
+        description="longest wall time of a frame [s]: one that takes longer ends the run as failed, with what it has "
+        "recorded; not given: none",
+    )
     solver: Solver = Field(
         default=Solver(plugin=AUTO),
         description="the integrator, a plugin with its fields, and its step; auto: chosen for the scene and `accuracy`",

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from live_run import Run, wait_until
 from scenes import write_chain, write_scene
 
@@ -39,6 +40,7 @@ from nuno_bench.gallery.kind import Gallery, ShownScene
 from nuno_bench.sweep.executor import Executor
 from nuno_bench.validation import command as suite
 from nuno_bench.validation.law import Outcome
+from nuno_contact.offset.contact_state import NOW
 from nuno_schemas.errors import BadInput, RunFailed
 
 ENDLESS = {"plugin": "symplectic_euler", "dt": "2 ns"}
@@ -94,6 +96,104 @@ def test_stop_leaves_the_frame_that_is_being_stepped(processes: bool, tmp_path: 
         assert point.frame == 0 and point.digest == outcome.summary["digest"]
 
 
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.full)])
+def test_pause_leaves_the_frame_that_is_being_stepped(processes: bool, tmp_path: Path) -> None:
+    """It is answered in the frame, which is begun again where the run goes on."""
+    run = Run(write_long(tmp_path, solver=ENDLESS, record={}), tmp_path / "a.mcap", processes)
+    run.wait(lambda: run.frame == 0)
+    for _ in range(2):
+        assert run.control("pause")["state"] == "paused"
+        assert run.control("status")["frame"] == 0
+        assert run.control("resume")["state"] == "running"
+    outcome = run.stop()
+    assert outcome.state == "stopped" and outcome.summary["frame"] == 0
+    with nuno.open(tmp_path / "a.mcap") as recording:
+        assert recording.last_checkpoint(recording.common_checkpoint().t).digest == outcome.summary["digest"]
+
+
+CONTACT = {
+    "nuno": 1, "name": "lying", "duration": 0.2, "frame_rate": 20, "damping": 1.0,
+    "objects": [{"name": "sheet", "model": {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "plane": "xz",
+                                            "centre": [0.003, 0.104, 0.002], "cells": "triangles", "fabric": "denim"}}],
+    "bodies": [{"name": "box", "friction": 0.5,
+                "collider": {"plugin": "mesh", "shape": "box", "size": [0.1, 0.2, 0.1], "resolution": 16},
+                "motion": {"plugin": "keyframes", "times": [0, 1], "positions": [[0, 0, 0], [0.1, 0.5, 0]]}}],
+    "cloth_contact": {"plugin": "offset", "thickness": "2 mm", "bodies": ["box"]},
+}  # fmt: skip
+"""A sheet on a box that rises, so that cloth contact has friction's anchors to keep."""
+
+
+def leave_within(simulation: Simulation) -> Stepped:
+    """Step a frame until half of it is done."""
+    contact: Any = simulation.memory.work.packed.bodies[-1]  # type: ignore[attr-defined]
+    frames: list[Stepped] = []
+    contact.clock[NOW] = 0.0
+    stepping = threading.Thread(target=lambda: frames.append(simulation.step()))
+    stepping.start()
+    wait_until(lambda: contact.clock[NOW] > 0.5 or bool(frames))
+    simulation.leave[0] = 1
+    stepping.join()
+    simulation.leave[0] = 0
+    return frames[0]
+
+
+@pytest.mark.parametrize("solver", ["symplectic_euler", pytest.param("respa", marks=pytest.mark.full)])
+def test_an_abandoned_frame_is_stepped_again_to_the_same_bits(solver: str, tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": solver, "dt": "20 us"}}))
+    digests: list[list[str]] = []
+    for disturbed in (False, True):
+        simulation = Simulation.with_bodies(scene_file.read(path), 1)
+        simulation.present()
+        digests.append([])
+        while not simulation.finished:
+            if disturbed and simulation.frame in (0, 2):
+                assert leave_within(simulation).report.status == "left"
+                simulation.step_back()
+            digests[-1].append(simulation.step().digest)
+    assert digests[0] == digests[1]
+
+
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.full)])
+def test_a_frame_beyond_the_scenes_limit_ends_the_run_as_failed(processes: bool, tmp_path: Path) -> None:
+    """With its number and a remedy; the recording can be gone on from."""
+    run = Run(write_long(tmp_path, solver=ENDLESS, frame_limit=0.2, record={}), tmp_path / "a.mcap", processes)
+    outcome = run.join()
+    assert outcome.state == "failed"
+    assert re.fullmatch(
+        r"failed: frame 1 was given up after .* s, and frame_limit is 0\.2 s; .* a larger frame_limit .*",
+        outcome.problem,
+    )
+    with nuno.open(outcome.recording(tmp_path / "a.mcap")) as recording:
+        assert recording.last_checkpoint(recording.common_checkpoint().t).digest == outcome.summary["digest"]
+
+
+def test_what_takes_the_time_of_an_abandoned_frame_is_said(tmp_path: Path) -> None:
+    """Cloth contact by the time of the frame without it; not where that takes as long."""
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": "symplectic_euler", "dt": "20 us"}}))
+    simulation = Simulation.with_bodies(scene_file.read(path), 1)
+    simulation.present()
+    assert leave_within(simulation).report.status == "left"
+    (share,) = simulation.divide_left(1000.0).values()
+    assert 0.99 < share < 1.0
+    simulation.leave[0] = 1
+    assert list(simulation.divide_left(1000.0).values()) == [0.0]
+
+
+@pytest.mark.parametrize(
+    "fields", [{"solver": ENDLESS}, {"solver": {"plugin": "symplectic_euler"}, "accuracy": "normal"}]
+)
+def test_a_plan_refuses_frames_beyond_the_scenes_limit(
+    fields: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of trials, and the one by which it tells how long the run takes."""
+    path = write_long(tmp_path, STIFF if "accuracy" in fields else 100.0, frame_limit=0.1, **fields)
+    assert main(["plan", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "frame_limit" in said and "takes longer" in said and "0.1 s" in said
+
+
 @pytest.mark.parametrize("solver", ["leapfrog", "respa", "implicit_euler", "xpbd"])
 @pytest.mark.full
 def test_each_solver_leaves_a_frame_and_the_state_as_it_was(solver: str, tmp_path: Path) -> None:
@@ -137,6 +237,19 @@ def test_a_frame_is_left_only_while_it_is_stepped() -> None:
     time.sleep(watchdog.LEAVE_AFTER + 4 * watchdog.CHECK_INTERVAL)
     assert not attendant.leave[0]
     with attendant.frame(1, 0.1):
+        wait_until(lambda: bool(attendant.leave[0]))
+    attendant.close()
+
+
+def test_a_measurement_at_the_end_is_left_where_the_run_is_to_end() -> None:
+    """It repeats frames, which may take long; without a request it goes on."""
+    context: Any = SimpleNamespace(bus=SimpleNamespace(service="simulation", run="run"), orphaned=lambda: False)
+    question: Any = SimpleNamespace(name="finish/simulation")
+    attendant = FrameWatchdog(context)
+    attendant.prepared()
+    with attendant.measuring():
+        assert not attendant.leave[0]
+        attendant.note_query(question)
         wait_until(lambda: bool(attendant.leave[0]))
     attendant.close()
 

@@ -214,6 +214,11 @@ class DyeRun(Stepper):
         resist = {"resist": self.cells.resist} if self.resisted else {}
         return arrays | resist, self._text() | text | {"supply": self.supplies.save(self.frame * self.steps)}
 
+    def step_back(self) -> None:
+        """Go back to the start of an abandoned frame, with new memory of the solver: see StepReport.status."""
+        self.memory = self._prepare(self.supplies)
+        super().step_back()
+
     def resume(self, point: Checkpoint, changes: Sequence[Event] = ()) -> None:
         """Continue from a checkpoint, with the additions until then. Raises BadInput."""
         self.check_time(point)

@@ -6,6 +6,7 @@ that the leader has finished, and acknowledges it like any lockstep subscriber, 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,7 +25,7 @@ from nuno.plugin_contract import containment
 from nuno.recording.reader import describe_changes
 from nuno.recording.recorded import Arrays
 from nuno.runtime.service import LOOK_SECONDS, Context, ack_topic, asks_to_finish
-from nuno.runtime.stepper import Stepped, Stepper
+from nuno.runtime.stepper import FASTER, Stepped, Stepper
 from nuno_schemas.errors import BadInput, RunFailed
 from nuno_schemas.messages import STATUSES, Ack, FrameStatus, Topic
 
@@ -71,11 +72,13 @@ class Clock:
         return {"frames": self.frames, "late": self.late, "most": max(0.0, self.most)}
 
 
-# Watchdog of frames while they are stepped: it abandons a frame when the run is to end, and warns of one that takes
-# too long. The stepping thread is in compiled code meanwhile, and reads no messages.
+# Watchdog of frames while they are stepped: it abandons a frame when the run is to end or to pause, or where the frame
+# takes longer than the scene allows, and warns of one that takes long. The stepping thread is in compiled code
+# meanwhile, and reads no messages.
 
 LEAVE_AFTER = 0.3
-"""Longest time that a frame, or the preparation, may go on once the run is to stop [s]."""
+"""Longest time that a frame, or the preparation, may go on once the run is to stop, or a frame once it is to pause [s].
+"""
 CHECK_INTERVAL = 0.1
 """Interval of the checks [s]."""
 LONG, LEAST, KNOWN = 100.0, 5.0, 3
@@ -93,6 +96,13 @@ class FrameWatchdog:
         self._context, self.leave = context, np.zeros(1, np.int64)
         """(1,) nonzero tells a solver to abandon its frame, as `nuno_schemas.system.System.leave`."""
         self._end_asked_at: float | None = None
+        self._pause_asked_at: float | None = None
+        self.limit = self._limit = math.inf
+        """Longest time of a frame [s]."""
+        self.exceeded: str | None = None
+        """What delayed the present frame, in words, where it took longer; None where it has not."""
+        self.returns: Callable[[], bool] = bool
+        """Returns whether the present frame can be stepped again from its start."""
         self._began: float | None = time.monotonic()
         """Start of the present frame, at first of the preparation [s]; None between frames."""
         self._frame, self._warned, self._t = 0, True, 0.0
@@ -103,9 +113,16 @@ class FrameWatchdog:
         threading.Thread(target=self._watch, name=f"{context.bus.service} watchdog", daemon=True).start()
 
     def note_query(self, query: Query) -> None:
-        """Record a query that ends the run; any thread may call this."""
-        if query.name.startswith("finish/") or query.json().get("action") == "stop":
+        """Record a query that ends or pauses the run; any thread may call this."""
+        action = "stop" if query.name.startswith("finish/") else query.json().get("action")
+        if action == "stop":
             self._end_asked_at = self._end_asked_at or time.monotonic()
+        elif action == "pause":
+            self._pause_asked_at = time.monotonic()
+
+    def paused(self) -> None:
+        """Note that the query to pause has been heard: the next frame is stepped to its end."""
+        self._pause_asked_at = None
 
     def prepared(self) -> None:
         """End the preparation: nothing is computed until the next frame."""
@@ -115,18 +132,32 @@ class FrameWatchdog:
     @contextmanager
     def frame(self, last: int, t: float) -> Iterator[None]:
         """Watch the frame after `last`, which ended at t [s], while it is stepped."""
+        began = time.monotonic()
+        self.exceeded, self.leave[0] = None, 0
+        with self.measuring(self.limit):
+            self._frame, self._t, self._warned = last, t, False
+            yield
+        self._durations.append(time.monotonic() - began)
+
+    @contextmanager
+    def measuring(self, limit: float = math.inf) -> Iterator[None]:
+        """Have solvers leave what is computed meanwhile, after the limit [s] or where the run is to end."""
         with self._lock:
-            self._began, self._frame, self._t, self._warned = time.monotonic(), last, t, False
+            self._began, self._limit, self._warned = time.monotonic(), limit, True
         try:
             yield
         finally:
             with self._lock:
-                self._durations.append(time.monotonic() - (self._began or 0.0))
                 self._began = None
 
     def close(self) -> None:
         """End the thread."""
         self._closed.set()
+
+    def _is_to_leave(self, now: float) -> bool:
+        """Return whether what is computed has gone on for too long since the run was to end or to pause."""
+        asked = [self._end_asked_at, self._pause_asked_at if self.returns() else None]
+        return any(one is not None and now - max(one, self._began or 0.0) > LEAVE_AFTER for one in asked)
 
     def _watch(self) -> None:
         while not self._closed.wait(CHECK_INTERVAL):
@@ -134,20 +165,20 @@ class FrameWatchdog:
             if orphaned := self._context.orphaned():
                 self._end_asked_at = self._end_asked_at or now
             with self._lock:
-                late = self._end_asked_at is not None and now - self._end_asked_at > LEAVE_AFTER
-                if late and self._began is not None:
+                elapsed = 0.0 if self._began is None else now - self._began
+                if elapsed > self._limit and self.exceeded is None:
+                    self.exceeded = self.holds()
+                if self._began is not None and (self.exceeded is not None or self._is_to_leave(now)):
                     self.leave[0] = 1
                 # Compiled code has had time to leave: a plugin that still goes on does so in Python.
                 overdue = self._end_asked_at is not None and now - self._end_asked_at > 2.0 * LEAVE_AFTER
                 if (
-                    overdue
+                    (overdue or elapsed > self._limit + 2.0 * LEAVE_AFTER)
                     and not containment.end_calls(self._context.bus.run, LEAVE_AFTER)
-                    and (orphaned or self.leave[0])
+                    and (overdue and (orphaned or self.leave[0]))
                 ):
                     return
-                if self._began is None:
-                    continue
-                elapsed, typical = now - self._began, median(self._durations) if len(self._durations) >= KNOWN else None
+                typical = median(self._durations) if len(self._durations) >= KNOWN else None
                 if self._warned or typical is None or elapsed < max(LEAST, LONG * typical):
                     continue
                 self._warned = True
@@ -165,7 +196,7 @@ OF_FOLLOWERS = ("status", "add")
 STATES = {"start": "running", "resume": "running", "pause": "paused", "stop": "stopped"}
 """State of a run after an action."""
 LEFT = "left"
-"""Status of a frame that was abandoned, since the run is to end."""
+"""Status of a frame that was abandoned, since the run is to end or to pause, or the frame took too long."""
 OVER = ("stopped", "failed")
 """States that end a run between two frames."""
 ACTIONS = ("status", "pause", "resume", "step", "stop", "set", "add")
@@ -241,8 +272,10 @@ class Driver:
         self.watchdog = watchdog
         self.watchdog.holds = stepper.holds
         self.watchdog.prepared()
+        self.watchdog.returns = lambda: stepper.begun is not None
+        self.watchdog.limit = scene.frame_limit or math.inf
         self.abandoned = False
-        """Whether a frame was abandoned: the run cannot continue from the present state."""
+        """Whether a frame was abandoned: the run cannot continue from the present memory of the solver."""
         self.scene, self.follows = scene, follows
         self.follower = "dye" if not follows and scene.moves and scene.dye is not None else ""
         self.due: list[int] = []
@@ -334,16 +367,30 @@ class Driver:
         if stepper.alter_due():
             self.digest = stepper.digest()
             self.publish_constant(stepper.frame + 1)
+        stepper.begun = None
         with self.watchdog.frame(stepper.frame, stepper.t):
             frame = stepper.step()
         if frame.report.status == LEFT:
             self.abandoned = True
+            if (held := self.watchdog.exceeded) is not None:
+                self.state, self.message = "failed", self._too_slow(frame.seconds, held)
             return frame
         self.seconds["steps"] += frame.seconds
         self.publish(frame, frame.number % self.account.every == 0 or frame.report.status != "ok")
         if self.clock is not None:
             self.clock.hold(begin)
         return frame
+
+    def _too_slow(self, seconds: float, held: str) -> str:
+        """Return why an abandoned frame that took so long [s] has ended the run, what `held` it, and the remedy."""
+        self.watchdog.exceeded, self.watchdog.leave[0] = None, 0
+        with self.watchdog.measuring(seconds):
+            parts = ", ".join(f"{name} {share:.0%}" for name, share in self.stepper.divide_left(seconds).items())
+        number, limit = self.stepper.frame + 1, self.scene.frame_limit
+        took = f"frame {number} was given up after {seconds:.3g} s, and frame_limit is {limit:g} s"
+        room = "; more room there, or thinner cloth, makes it faster" if held else ""
+        remedy = f"{FASTER}; a larger frame_limit lets nuno run --resume go on from the frame before"
+        return "; ".join(filter(None, (took, parts and f"of its time took {parts}", held + room, remedy)))
 
     def listen(self, timeout: float) -> None:
         """Handle one item, if one arrives in time: acknowledgements, control and the end share one ordered queue."""
@@ -383,6 +430,8 @@ class Driver:
             self.held = time.perf_counter()
         elif action in STATES:
             self.state, self.until = STATES[action], self.until if action == "start" else None
+            if action == "pause":
+                self.watchdog.paused()
         elif action == "step":
             frames = request.get("frames", 1)
             if type(frames) is not int or not 1 <= frames <= self.scene.frames:
@@ -390,6 +439,7 @@ class Driver:
                 return {"ok": False, "error": problem}
             self.state, self.until = "running", stepper.frame + frames
         elif action in ("set", "add"):
+            self._step_back()
             try:
                 change = (self.change if action == "set" else self.add)(str(request.get("item")))
             except BadInput as error:
@@ -464,7 +514,9 @@ class Driver:
                     self.wait_for(self.stepper.frame)
                     self.seconds["waiting"], begin = 0.0, begin + time.perf_counter() - start
                 ended = self.follow() if self.follows else self.run()
-            summary = self.summary(ended, time.perf_counter() - begin)
+            seconds = time.perf_counter() - begin
+            with self.watchdog.measuring():
+                summary = self.summary(ended, seconds)
             if not self.follows:
                 self.context.event("end", ended, self.stepper.frame, self.stepper.t, summary=summary)
             self.watchdog.close()
@@ -483,12 +535,13 @@ class Driver:
             self.paused_seconds += time.perf_counter() - start
             if self.finish is not None or self.state in OVER:
                 break
+            self._step_back()
             if not self.ready():
                 continue
             status = self.one_frame()
             if status == LEFT:
-                self._await_end()
-                break
+                self._await_request()
+                continue
             if status == "unconverged" and self.stepper.frame >= self.scene.frames:  # a longer run can resume
                 self.keep()
                 self.wait_for(self.stepper.frame)
@@ -502,9 +555,15 @@ class Driver:
         self.wait_for(self.stepper.frame)
         return self.state if self.state in OVER else "done"
 
-    def _await_end(self) -> None:
-        """Wait for the end that a frame was abandoned for."""
-        while self.finish is None and self.state not in OVER:
+    def _step_back(self) -> None:
+        """Go back to the start of a frame that was abandoned for a pause."""
+        if self.abandoned and self.stepper.begun is not None:
+            self.stepper.step_back()
+            self.abandoned = False
+
+    def _await_request(self) -> None:
+        """Wait for the end or the pause that a frame was abandoned for."""
+        while self.finish is None and self.state == "running":
             self.listen(LOOK_SECONDS)
 
     def ready(self) -> bool:
@@ -532,7 +591,9 @@ class Driver:
                     raise RunFailed(f"frame {frame} came after frame {self.stepper.frame}")
                 status = self.one_frame() if frame > self.stepper.frame else "ok"
                 if status == LEFT:
-                    self._await_end()
+                    if self.message:
+                        raise RunFailed(self.message)
+                    self._await_request()
                     continue
                 if status != "ok":
                     raise RunFailed(self.message or "amounts are no longer finite")

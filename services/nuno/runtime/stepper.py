@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -188,6 +189,15 @@ class Stepper(ABC):
         size = CALLS + sum(array.nbytes for array in (*self.memory.arrays.values(), *self.arrays().values()))
         self.begun = self._copy() if needed or size < COPIED * self.taken else None
 
+    def step_back(self) -> None:
+        """Go back to the start of an abandoned frame, `begun`, from which the frame is stepped to the same bits."""
+        assert self.begun is not None
+        self.resume(self.begun)
+
+    def divide_left(self, seconds: float) -> dict[str, float]:
+        """Return the shares of parts in the time of an abandoned frame [s], as far as they are known."""
+        return {}
+
     def holds(self) -> str:
         """Return what delays the present frame, in words; called while it is stepped."""
         return ""
@@ -243,11 +253,47 @@ class Stepper(ABC):
         ]
 
     def time_frame(self) -> float:
-        """Return the wall time of the second frame from now [s]; the first one may compile."""
-        self.step()
-        start = time.perf_counter()
-        self.step()
+        """Return the wall time of the second frame from now [s]. Raises BadInput for one that is too long."""
+        self.present()  # compiles
+        for _ in range(2):
+            start = time.perf_counter()
+            with limited(self.leave, self.loaded.scene.frame_limit):
+                report = self.step().report
+            if report.status == "left":
+                raise too_slow(self.loaded, f"frame {self.frame + 1} takes longer")
         return max(time.perf_counter() - start, 1e-9)
+
+
+TOO_SLOW = 2
+"""What `System.leave` is where a frame has taken too long."""
+FASTER = "coarser cloth and accuracy: preview make frames faster"
+
+
+def too_slow(loaded: Loaded, problem: str) -> BadInput:
+    """Return the error for a frame that takes longer than the scene allows."""
+    limit, remedy = f"{loaded.scene.frame_limit:g} s", f"{FASTER}; or give a larger limit"
+    return loaded.at("frame_limit", BadInput(problem, limit=limit, remedy=remedy))
+
+
+@contextmanager
+def limited(leave: NDArray[np.int64], seconds: float | None) -> Iterator[None]:
+    """Have solvers abandon what takes longer than a wall time [s], by `leave` of their System; None is no limit."""
+    if seconds is None:
+        yield
+        return
+
+    def end() -> None:
+        leave[0] = leave[0] or TOO_SLOW
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        leave[leave == TOO_SLOW] = 0
 
 
 @contextmanager

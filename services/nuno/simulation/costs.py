@@ -105,9 +105,9 @@ class Costs:
         most = max(1, int(SHARE * self.frames / (1 + len(self.lists))))
         stride = -(-len(self.starts) // most)
         replayed = self.starts[stride // 2 :: stride]
-        seconds = [
-            [stage.replay(start, without)[1].seconds["steps"] for without in ((), *((name,) for name in self.lists))]
-            for start in replayed
-        ]
-        whole, *rest = np.sum(seconds, axis=0).tolist()
+        variants = ((), *((name,) for name in self.lists))
+        reports = [[stage.replay(start, without)[1] for without in variants] for start in replayed]
+        if any(report.status == "left" for row in reports for report in row):  # the run is to end
+            return {}
+        whole, *rest = np.sum([[report.seconds["steps"] for report in row] for row in reports], axis=0).tolist()
         return {name: max(0.0, 1.0 - time / whole) for name, time in zip(self.lists, rest, strict=True)}

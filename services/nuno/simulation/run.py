@@ -24,7 +24,7 @@ from nuno.collision.distance import body_distances
 from nuno.collision.messages import decode_poses
 from nuno.plugin_contract.values import ContractError, check_array
 from nuno.recording.recorded import Arrays, Checkpoint
-from nuno.runtime.stepper import Stepped, Stepper, copy_into, fitting, hash_of
+from nuno.runtime.stepper import Stepped, Stepper, copy_into, fitting, hash_of, limited, too_slow
 from nuno.scene.chosen_plugins import Chosen
 from nuno.scene.override import SETTABLE, apply_override, overridden, parts_of
 from nuno.scene.scene_file import Loaded, coarser, load
@@ -157,6 +157,8 @@ class Simulation(Stepper):
         self.idle = 0
         """Frames without steps, since nothing would have changed."""
         self._still = False
+        self.left: FrameStart | None = None
+        """The start of an abandoned frame in which more than gravity does work."""
         self._report = StepReport("ok", 0)
         self._size = float(np.linalg.norm(np.ptp(self.fabric.position, axis=0))) if self.fabric.number else 0.0
         self.system: System
@@ -200,6 +202,14 @@ class Simulation(Stepper):
         start = self.state if self.frame == 0 or self.changes else cloth.start_state(self.fabric)
         self.limit = find_limit(self.loaded, self.solver.plugin, self.system, start)
         self.steps, self.dt = choose_step(self.loaded, self.limit.dt, self.limit.resolved)
+        self._prepare_memory()
+        if source is not None:
+            kept = {name: values for name, values in arrays.items() if name in self.memory.arrays}
+            arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in kept.items()}
+        copy_into(self.memory.arrays, arrays, some=True)
+
+    def _prepare_memory(self) -> None:
+        """Make new memory of the solver."""
         self.memory = self.solver.plugin.prepare(self.loaded.integrator.config, self.system, self.state)
         self.costs.begin(self.memory.lists)
         # A run that goes on from a checkpoint must come to rest in the same frame.
@@ -214,10 +224,6 @@ class Simulation(Stepper):
             self.relaxation = Relaxation(self.loaded.scene.frame_rate, inertia)
             self.memory.arrays[RELAXATION] = self.relaxation.memory
             self.memory.bounds[RELAXATION] = Bounds(0.0)
-        if source is not None:
-            kept = {name: values for name, values in arrays.items() if name in self.memory.arrays}
-            arrays = {name: carry(values, self.memory.arrays[name], source) for name, values in kept.items()}
-        copy_into(self.memory.arrays, arrays, some=True)
 
     def arrays(self) -> Arrays:
         """Return the state itself: x (n, 3) [m] and v (n, 3) [m/s]."""
@@ -243,7 +249,8 @@ class Simulation(Stepper):
         posed = time.perf_counter() - begin
         frame = self.advance(self.poses, end)
         frame.seconds += posed
-        self.before, self.poses = self.poses, end
+        if frame.report.status != "left":
+            self.before, self.poses = self.poses, end
         return frame
 
     def present(self) -> Stepped:
@@ -282,9 +289,10 @@ class Simulation(Stepper):
             self.begin_frame(needed=does_work and (self.growth is not None or bool(self.memory.lists)))
             self.state.begun = (self.begun.arrays["x"], self.begun.arrays["v"]) if self.begun else None
             report = self.solver.plugin.advance(self.system, self.state, self.memory, poses, self.steps, self.dt)
-            if report.status == "left":
-                return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             begun = FrameStart(self.begun, poses) if does_work and self.begun else None
+            if report.status == "left":
+                self.left = begun
+                return Stepped(self.frame, report, time.perf_counter() - begin, self.digest())
             self.costs.after(report, begun)
             report = self._judge(report, begun)
             # Frames after one that changes nothing change nothing either.
@@ -375,6 +383,24 @@ class Simulation(Stepper):
         profile = getattr(chosen.plugin, "profile", None)
         each = {} if profile is None else profile(self.system, self.state, self.memory, pair)
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
+
+    def divide_left(self, seconds: float) -> dict[str, float]:
+        """Return the share of each term with neighbour lists in the time of an abandoned frame [s]; none of one without
+        which the frame takes as long.
+        """
+        stage, shares = Stage(self.solver, self.system, self.steps, self.dt), dict[str, float]()
+        if (left := self.left) is None:
+            return shares
+        for name in self.memory.lists:
+            report = stage.replay(left, (name,))[1]
+            shares[name] = 0.0 if report.status == "left" else max(0.0, 1.0 - report.seconds["steps"] / seconds)
+        return shares
+
+    def step_back(self) -> None:
+        """Go back to the start of an abandoned frame, with new memory of the solver: see StepReport.status."""
+        assert self.begun is not None
+        self._prepare_memory()
+        self.take_over(self.begun)
 
     def holds(self) -> str:
         """Return which objects are pinched, and where, in words."""
@@ -741,7 +767,10 @@ def settle(
         problem = BadInput(f"on such triangles {error.problem}", value=value, remedy=remedy)
         raise loaded.at(f"objects[{coarsened}].model.coarse", problem) from error
     while not simulation.stillness.rests and simulation.frame < LONGEST * loaded.scene.frame_rate:
-        report = simulation.step().report
+        with limited(simulation.leave, loaded.scene.frame_limit):
+            report = simulation.step().report
+        if report.status == "left" and not simulation.leave[0]:
+            raise too_slow(loaded, f"on coarser triangles frame {simulation.frame + 1} takes longer")
         if report.status != "ok":
             raise RunFailed(f"on coarser triangles, frame {simulation.frame}: {report.message or report.status}")
     facts = {

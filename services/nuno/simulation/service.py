@@ -184,7 +184,8 @@ class ClothAccount:
         simulation, fabric = self.simulation, self.simulation.fabric
         step_seconds: dict[str, float] = {}
         if ended in ("done", "stopped") and not simulation.leave[0] and seconds > 0.0:
-            step_seconds = simulation.divide(seconds)
+            divided = simulation.divide(seconds)
+            step_seconds = {} if simulation.leave[0] else divided
         limit = simulation.limit
         return {
             "step_seconds": step_seconds,

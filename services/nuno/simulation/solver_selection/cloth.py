@@ -16,6 +16,7 @@ import numpy as np
 from nuno.collision.bodies import Bodies
 from nuno.plugin_contract import registry
 from nuno.process import attended
+from nuno.runtime.stepper import too_slow
 from nuno.scene.scene_file import FIRST, Loaded
 from nuno.scene.step import MOST_STEPS
 from nuno.simulation import cloth
@@ -75,6 +76,8 @@ def _decide(loaded: Loaded, budget: Budget) -> Loaded:
         _try_all(loaded, trials, start, accuracy, selections)
     except Spent:
         over = budget.over
+    if trials.too_slow and not over and all(math.isinf(selection.error) for selection in selections):
+        raise too_slow(loaded, "a frame takes longer with every solver that was tried")
     if selections:
         best = min(selections, key=lambda one: (max(one.error, PROMISE[accuracy]), one.cost))
         reason = "; ".join(filter(None, (_reason(trials, best, selections, accuracy), over)))
@@ -100,7 +103,8 @@ def _trials(loaded: Loaded, system: System, bodies: Bodies | None, start: Method
     frames = min(total, max(FEWEST_FRAMES, int(PILOT_WORK / a_frame)))
     poses = tuple(bodies.poses(i / rate) if bodies else None for i in range(frames + 1))
     size = float(np.linalg.norm(np.ptp(fabric.position, axis=0)))
-    return Trials(replace(system, leave=budget.leave), poses, 1.0 / rate, total, size or 1.0, budget)
+    system = replace(system, leave=budget.leave)
+    return Trials(system, poses, 1.0 / rate, total, size or 1.0, budget, loaded.scene.frame_limit)
 
 
 def _method(loaded: Loaded, system: System, name: str, safe: float) -> Method | None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nuno.formatting import many, roughly
+from nuno.runtime.stepper import limited
 from nuno.scene import scene_file
 from nuno.scene.override import as_override
 from nuno.scene.scene_file import Loaded
@@ -109,8 +110,8 @@ class Trials:
     """Cached runs of a scene's first frames.
 
     poses (frames + 1) of the bodies, None without bodies; `total` frames of the whole scene;
-    size [m] of the cloth; `work` so far, in vertices times evaluations. Methods raise Spent where the budget is used
-    up.
+    size [m] of the cloth; `limit` of a frame's wall time [s]; `work` so far, in vertices times evaluations. Methods
+    raise Spent where the budget is used up.
     """
 
     system: System
@@ -119,6 +120,9 @@ class Trials:
     total: int
     size: float
     budget: Budget = field(default_factory=Budget)
+    limit: float | None = None
+    too_slow: bool = False
+    """Whether a run has failed since one of its frames took longer."""
     work: float = 0.0
     pace: float = 0.0
     """Wall time of a vertex's evaluation in the last successful run [s]."""
@@ -207,7 +211,9 @@ class Trials:
         out = []
         for i in range(self.frames):
             state.t = i * self.frame
-            report = method.plugin.advance(self.system, state, memory, self._pair(i), steps, self.frame / steps)
+            with limited(self.budget.leave, self.limit):
+                report = method.plugin.advance(self.system, state, memory, self._pair(i), steps, self.frame / steps)
+            self.too_slow |= report.status == "left"
             if report.status != "ok":
                 return None
             out.append(state.x[free].copy())
