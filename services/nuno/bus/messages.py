@@ -132,8 +132,8 @@ class Inbox:
         """Enqueue a query; drop one that arrives while the inbox closes, like those in the queue."""
         with self._closing:
             if not self._closed:
+                self._on_query(query)  # first: whoever takes it from the queue may answer and drop it at once
                 self._queue.put(query)
-                self._on_query(query)
                 return
         query.query.drop()
 
