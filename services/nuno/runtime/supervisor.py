@@ -165,11 +165,11 @@ class Supervisor:
         self._drain()  # the recorder receives all later messages
 
     def _answer_early(self, inbox: Inbox) -> None:
-        """Answer a control request before the leader is ready. Raises RunFailed for `stop`."""
+        """Raise RunFailed for a request to stop before the leader is ready; others have no answer until then."""
         if not isinstance(query := inbox.get(0), Query):
             return
         if query.json().get("action") != "stop":
-            query.answer_json({"ok": False, "error": "the run is still being prepared: it can be stopped, and no more"})
+            query.query.drop()
             return
         query.answer_json({"ok": True, "state": "stopped", "frame": 0, "frames": self.loaded.scene.frames, "t": 0.0})
         raise RunFailed("stopped while it was prepared")
