@@ -112,7 +112,7 @@ def test_pause_leaves_the_frame_that_is_being_stepped(processes: bool, tmp_path:
 
 
 CONTACT = {
-    "nuno": 1, "name": "lying", "duration": 0.2, "frame_rate": 20, "damping": 1.0,
+    "nuno": 1, "name": "lying", "duration": 0.1, "frame_rate": 20, "damping": 1.0,
     "objects": [{"name": "sheet", "model": {"plugin": "sheet", "size": [0.2, 0.2], "resolution": [9, 9], "plane": "xz",
                                             "centre": [0.003, 0.104, 0.002], "cells": "triangles", "fabric": "denim"}}],
     "bodies": [{"name": "box", "friction": 0.5,
@@ -140,14 +140,14 @@ def leave_within(simulation: Simulation) -> Stepped:
 @pytest.mark.parametrize("solver", ["symplectic_euler", pytest.param("respa", marks=pytest.mark.full)])
 def test_an_abandoned_frame_is_stepped_again_to_the_same_bits(solver: str, tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": solver, "dt": "20 us"}}))
+    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": solver, "dt": "50 us"}}))
     digests: list[list[str]] = []
     for disturbed in (False, True):
         simulation = Simulation.with_bodies(scene_file.read(path), 1)
         simulation.present()
         digests.append([])
         while not simulation.finished:
-            if disturbed and simulation.frame in (0, 2):
+            if disturbed and simulation.frame in (0, 1):
                 assert leave_within(simulation).report.status == "left"
                 simulation.step_back()
             digests[-1].append(simulation.step().digest)
@@ -171,14 +171,14 @@ def test_a_frame_beyond_the_scenes_limit_ends_the_run_as_failed(processes: bool,
 def test_what_takes_the_time_of_an_abandoned_frame_is_said(tmp_path: Path) -> None:
     """Cloth contact by the time of the frame without it; not where that takes as long."""
     path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": "symplectic_euler", "dt": "20 us"}}))
+    path.write_text(yaml.safe_dump(CONTACT | {"solver": {"plugin": "symplectic_euler", "dt": "50 us"}}))
     simulation = Simulation.with_bodies(scene_file.read(path), 1)
     simulation.present()
     assert leave_within(simulation).report.status == "left"
     (share,) = simulation.divide_left(1000.0).values()
     assert 0.99 < share < 1.0
     simulation.leave[0] = 1
-    assert list(simulation.divide_left(1000.0).values()) == [0.0]
+    assert not simulation.divide_left(1000.0)
 
 
 @pytest.mark.parametrize(

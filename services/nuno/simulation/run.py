@@ -385,15 +385,16 @@ class Simulation(Stepper):
         return self.costs.divide(each, Stage(chosen, self.system, self.steps, self.dt), seconds)
 
     def divide_left(self, seconds: float) -> dict[str, float]:
-        """Return the share of each term with neighbour lists in the time of an abandoned frame [s]; none of one without
-        which the frame takes as long.
+        """Return the share of each term with neighbour lists in the time of an abandoned frame [s], but for one without
+        which the frame is not done in time.
         """
         stage, shares = Stage(self.solver, self.system, self.steps, self.dt), dict[str, float]()
         if (left := self.left) is None:
             return shares
         for name in self.memory.lists:
             report = stage.replay(left, (name,))[1]
-            shares[name] = 0.0 if report.status == "left" else max(0.0, 1.0 - report.seconds["steps"] / seconds)
+            if report.status != "left":
+                shares[name] = max(0.0, 1.0 - report.seconds["steps"] / seconds)
         return shares
 
     def step_back(self) -> None:
