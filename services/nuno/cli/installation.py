@@ -51,8 +51,8 @@ def scenes_command(args: argparse.Namespace) -> int:
 
 def blender_addon_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "file", nargs="?", type=Path, default=Path("nuno_blender.py"), metavar="FILE",
-        help="where it is written (default: nuno_blender.py)",
+        "file", nargs="?", type=Path, default=Path("cloth_by_nuno.py"), metavar="FILE",
+        help="where it is written (default: cloth_by_nuno.py)",
     )  # fmt: skip
 
 
