@@ -284,8 +284,8 @@ def is_left(y: float, z: float, i: int, j: int, x: Float) -> bool:
 
 @block_kernel
 def add_turns(at: Float, first: Long, low: Float, size: float, shape: Long, x: Float, faces: Int, turns: Long) -> None:
-    """Add to turns (n,) how often a mesh x (v, 3), faces (f, 3) goes round points (3, n), of which a grid over y and z,
-    of `shape` cells of `size` from `low` on, has those from first[k] to first[k + 1] in cell k.
+    """Add to turns (n,) how often a mesh x (v, 3), faces (f, 3) goes round points (3, n). The points are in the order
+    of a grid over y and z, of `shape` cells of `size` from `low` on: cell k has those from first[k] to first[k + 1].
     """
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]

@@ -300,7 +300,7 @@ STILL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
 
 def all_rotations(rotation: Float, frames: int) -> Float:
-    """Return rotations (f, 4) of so many frames, of which those after the given ones do not turn."""
+    """Return rotations (f, 4) of so many frames: the given ones, and frames after them that do not turn."""
     return np.concatenate([rotation, np.tile(STILL, (max(frames - len(rotation), 0), 1))])
 
 

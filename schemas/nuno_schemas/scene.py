@@ -337,7 +337,7 @@ class Scene(Part):
     @property
     def slid_skins(self) -> list[int]:
         """Numbers of the skins that the scene leaves open how to meet, and that are met by sliding contact for a
-        preview: not such as carry cloth by one of their frames, since what bends beside it would enter it.
+        preview. A skin with cloth attached to one of its frames is not among them: it bends, and enters that cloth.
         """
         attached = [model.config.get("attach") for model in (piece.model for piece in self.objects)]
         carrying = [one.get("body") for one in attached if isinstance(one, dict) and one.get("frame") is not None]

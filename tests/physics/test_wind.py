@@ -20,6 +20,7 @@ from nuno_cloth.wind import (
     WindRuns,
     prepare_wind,
 )
+from nuno_integrators.stability import measure_rates
 from nuno_kernels.terms import kernels_of
 from nuno_schemas.errors import BadInput
 from nuno_schemas.fabric import Fabric, Float, State
@@ -189,6 +190,17 @@ def test_a_gust_carries_a_sheet_along(solver: str) -> None:
             assert plugin.advance(system, state, memory, None, steps, 0.02 / steps).status == "ok"
         off.append(abs(float((state.x - fabric.position)[:, 1].mean()) / law.y[0, -1] - 1.0))
     assert off[0] < 0.01 and off[1] < max(0.51 * off[0], 1e-6)
+
+
+def test_a_gusts_rate_is_no_less_than_that_of_its_strongest_wind() -> None:
+    """Steps are chosen while the air is still: what the term declares bounds what is measured in the storm."""
+    fabric, storm = sheet(), [0.0, 20.0, 5.0]
+    gust = {"times": [1.0, 2.0], "values": [[0.0, 0.0, 0.0], storm]}
+    declared = Wind().prepare(WindConfig.model_validate({"velocity": gust}), fabric, 0).damping_rate
+    bare = replace(fabric, springs=None, hinges=None)
+    steady = System(bare, np.zeros(3), 0.0, (Wind().prepare(WindConfig.model_validate({"velocity": storm}), bare, 0),))
+    _, measured = measure_rates(steady, State(bare.position, bare.velocity))
+    assert 0.3 * declared < measured <= declared
 
 
 @pytest.mark.parametrize(

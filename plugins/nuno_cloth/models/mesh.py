@@ -82,7 +82,7 @@ class MeshConfig(Config):
     groups: str | None = Field(
         default=None,
         description="a JSON file beside the scene with groups of the file's vertices: {name: [number, ...]}, or "
-        "{name: {number: weight}}, of which those from 0.5 on are taken",
+        "{name: {number: weight}}, which takes weights of 0.5 and more",
     )
     attach: Attach | None = Field(
         default=None,

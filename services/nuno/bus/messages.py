@@ -132,7 +132,7 @@ class Inbox:
         """Enqueue a query; drop one that arrives while the inbox closes, like those in the queue."""
         with self._closing:
             if not self._closed:
-                self._on_query(query)  # first: whoever takes it from the queue may answer and drop it at once
+                self._on_query(query)  # before it is queued: the thread that takes it may answer and drop it at once
                 self._queue.put(query)
                 return
         query.query.drop()

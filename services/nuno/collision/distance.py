@@ -63,7 +63,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Solid:
-    """A mesh: vertices (v, 3) [m], faces (f, 3), of which `closed` (g, 3) have an inside."""
+    """A mesh: vertices (v, 3) [m] and faces (f, 3); `closed` (g, 3) are the faces of parts that have an inside."""
 
     vertices: Float
     faces: Int

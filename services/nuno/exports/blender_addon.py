@@ -11,6 +11,7 @@ import json
 import shutil
 import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -135,8 +136,8 @@ def send(context: Any) -> Path:
     return folder / SCENE
 
 
-def receive(context: Any) -> None:
-    """Let the garment move as it was simulated, by a modifier. Raises Failed."""
+def receive(context: Any) -> str:
+    """Let the garment move as it was simulated, by a modifier, and say so. Raises Failed."""
     shot, folder = context.scene.nuno, folder_of(context)
     done = subprocess.run(
         [program(context), "export", RECORDING, "--pc2", MOTION],
@@ -153,6 +154,7 @@ def receive(context: Any) -> None:
     found = shot.garment.modifiers.get(CACHE) or shot.garment.modifiers.new(CACHE, "MESH_CACHE")
     found.cache_format, found.filepath = "PC2", str(folder / MOTION)
     found.frame_start = context.scene.frame_start - shot.preroll
+    return f"{shot.garment.name} moves by the modifier {CACHE}"
 
 
 def folder_of(context: Any) -> Path:
@@ -168,18 +170,23 @@ def program(context: Any) -> str:
     return found
 
 
+def attempt(operator: Any, task: Callable[[], str]) -> set[str]:
+    """Do what a button stands for, and report how it went."""
+    try:
+        operator.report({"INFO"}, task())
+    except Failed as failed:
+        operator.report({"ERROR"}, str(failed))
+        return {"CANCELLED"}
+    return {"FINISHED"}
+
+
 class NUNO_OT_send(bpy.types.Operator):  # noqa: N801
     """Write the shot as a scene of nuno"""
 
     bl_idname, bl_label = "nuno.send", "Send"
 
     def execute(self, context: Any) -> set[str]:
-        try:
-            self.report({"INFO"}, f"wrote {send(context)}")
-        except Failed as failed:
-            self.report({"ERROR"}, str(failed))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return attempt(self, lambda: f"wrote {send(context)}")
 
 
 class NUNO_OT_run(bpy.types.Operator):  # noqa: N801
@@ -220,12 +227,7 @@ class NUNO_OT_receive(bpy.types.Operator):  # noqa: N801
     bl_idname, bl_label = "nuno.receive", "Bring back"
 
     def execute(self, context: Any) -> set[str]:
-        try:
-            receive(context)
-        except Failed as failed:
-            self.report({"ERROR"}, str(failed))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return attempt(self, lambda: receive(context))
 
 
 class NUNO_PT_panel(bpy.types.Panel):  # noqa: N801
